@@ -1,0 +1,29 @@
+# make train  - train the shared NAF policy on the paper's scenario, evaluate it, write the report
+# make test   - linters, import contract, type checker, tests
+# Each sets up .venv when it is missing or out of date.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUN ?= runs/paper
+ARGS ?=
+
+.PHONY: train test clean
+
+train: $(VENV)/installed
+	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
+
+test: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+clean:
+	rm -rf build dist .coverage .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

@@ -1,0 +1,54 @@
+"""Multi-agent lane changes in interactive highway traffic.
+
+The names below are imported on first use, so that ``import marl_lanes`` stays light and does not
+import torch.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from marl_lanes.envs.batched import LaneChangeEnv
+    from marl_lanes.envs.parallel import env, parallel_env
+    from marl_lanes.naf.loss import NAFLoss
+    from marl_lanes.naf.network import NAFNetwork
+    from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
+    from marl_lanes.traffic.simulator import Simulator
+
+_HOME_OF = {
+    "LaneChangeEnv": "marl_lanes.envs.batched",
+    "NAFLoss": "marl_lanes.naf.loss",
+    "NAFNetwork": "marl_lanes.naf.network",
+    "Scenario": "marl_lanes.scenario",
+    "ScenarioError": "marl_lanes.scenario",
+    "Simulator": "marl_lanes.traffic.simulator",
+    "env": "marl_lanes.envs.parallel",
+    "list_scenarios": "marl_lanes.scenario",
+    "load_scenario": "marl_lanes.scenario",
+    "parallel_env": "marl_lanes.envs.parallel",
+}
+
+__all__ = [
+    "LaneChangeEnv",
+    "NAFLoss",
+    "NAFNetwork",
+    "Scenario",
+    "ScenarioError",
+    "Simulator",
+    "env",
+    "list_scenarios",
+    "load_scenario",
+    "parallel_env",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

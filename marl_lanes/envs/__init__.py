@@ -1,0 +1,1 @@
+"""The environments: PettingZoo over one road, TorchRL over many."""

@@ -1,0 +1,1 @@
+"""Rollouts, metrics, the optimum and the figures."""

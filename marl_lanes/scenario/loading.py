@@ -1,0 +1,137 @@
+"""Scenarios by name, from a YAML file or from a mapping."""
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from marl_lanes.scenario.schema import Scenario, Section
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be: the message names each field, its value and what is allowed."""
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML's safe loader, which also refuses a key that is written twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise ScenarioError(f"key {key!r} is written twice{node.start_mark}")
+        return super().construct_mapping(node, deep)
+
+
+def list_scenarios() -> list[str]:
+    """Names of the shipped scenarios, sorted."""
+    folder = resources.files("marl_lanes.scenarios")
+    return sorted(
+        entry.name.removesuffix(".yaml")
+        for entry in folder.iterdir()
+        if entry.name.endswith(".yaml")
+    )
+
+
+def load_scenario(
+    source: str | Path | Mapping[str, Any] | Scenario = "paper",
+    overrides: Mapping[str, Any] | None = None,
+) -> Scenario:
+    """A scenario by its shipped name, from a YAML file, or from a mapping.
+
+    Args:
+        source: a name of ``list_scenarios()``, the path of a YAML file (a ``Path``, or a text with
+            a path separator or the suffix ``.yaml``), a mapping of fields, or a scenario.
+        overrides: fields to replace, nested as in the YAML; sections are merged key by key.
+
+    Raises:
+        ScenarioError: no such scenario or file, or fields that cannot be; the message names each
+            field, its value and what is allowed.
+    """
+    if isinstance(source, Scenario):
+        if not overrides:
+            return source
+        data: Any = source.model_dump(mode="json")
+        origin = f"scenario {source.name!r}"
+    elif isinstance(source, Mapping):
+        data = dict(source)
+        data.setdefault("name", "custom")
+        origin = "scenario from a mapping"
+    else:
+        text, origin, name = _read(source)
+        try:
+            data = yaml.load(text, Loader=_UniqueKeyLoader)  # noqa: S506 - a SafeLoader
+        except (yaml.YAMLError, ScenarioError) as error:
+            raise ScenarioError(f"{origin}: not readable as YAML: {error}") from None
+        if not isinstance(data, dict):
+            raise ScenarioError(f"{origin}: must be a mapping of fields, got {data!r}")
+        data.setdefault("name", name)
+    try:
+        return Scenario.model_validate(_merge(data, overrides or {}))
+    except ValidationError as error:
+        raise ScenarioError(f"{origin}: " + "; ".join(_explain(error))) from None
+
+
+def _read(source: str | Path) -> tuple[str, str, str]:
+    """The text, where it comes from, and the default name of a scenario file."""
+    is_path = isinstance(source, Path) or source.endswith((".yaml", ".yml")) or "/" in source
+    if is_path:
+        path = Path(source)
+        try:
+            return path.read_text(encoding="utf-8"), f"scenario file {path}", path.stem
+        except (OSError, UnicodeDecodeError) as error:
+            raise ScenarioError(f"scenario file {path}: cannot be read: {error}") from None
+    names = list_scenarios()
+    if source not in names:
+        raise ScenarioError(
+            f"scenario {source!r}: no such scenario; allowed: {', '.join(names)}, or the path of "
+            "a .yaml file"
+        )
+    file = resources.files("marl_lanes.scenarios").joinpath(f"{source}.yaml")
+    return file.read_text(encoding="utf-8"), f"scenario {source!r}", str(source)
+
+
+def _merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in overrides.items():
+        below = merged.get(key)
+        # A mix is replaced as a whole: shares of another mix make no sense beside it.
+        if isinstance(value, Mapping) and isinstance(below, Mapping) and key != "mix":
+            merged[key] = _merge(below, value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _explain(error: ValidationError) -> list[str]:
+    """One line a problem: field, value, what is allowed."""
+    lines = []
+    for problem in error.errors():
+        location = ".".join(str(part) for part in problem["loc"])
+        message = problem["msg"].removeprefix("Value error, ")
+        message = message.replace("Input should be", "must be")
+        if problem["type"] == "extra_forbidden":
+            allowed = ", ".join(_fields_at(problem["loc"][:-1]))
+            lines.append(f"{location}: unknown key; allowed: {allowed}")
+        elif problem["type"] == "missing":
+            lines.append(f"{location}: must be given")
+        elif isinstance(problem["input"], Mapping | Section) and location.count("mix") == 0:
+            lines.append(f"{location}.{message}" if location else message)
+        else:
+            lines.append(f"{location} = {problem['input']!r}: {message}")
+    return lines
+
+
+def _fields_at(location: tuple[str | int, ...]) -> list[str]:
+    """The keys that the section at ``location`` allows."""
+    annotation: Any = Scenario
+    for part in location:
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            annotation = annotation.model_fields[str(part)].annotation
+        else:
+            # dict[str, X] and tuple[X, ...]: what every entry is.
+            annotation = get_args(annotation)[1 if get_origin(annotation) is dict else 0]
+    return list(annotation.model_fields)

@@ -1,0 +1,418 @@
+"""The scenario's fields: units, limits and defaults.
+
+The defaults are the paper's numbers, so a YAML file names only where it differs. SI units; a speed
+may be written ``30 km/h``.
+"""
+
+import re
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    model_validator,
+)
+
+_SPEED = re.compile(r"\s*([-+]?\d+(?:\.\d*)?)\s*(km/h|m/s)\s*")
+_TO_METRES_PER_SECOND = {"km/h": 1.0 / 3.6, "m/s": 1.0}
+
+
+def _parse_speed(value: Any) -> Any:
+    """Turn ``"30 km/h"`` or ``"8 m/s"`` into metres per second; leave the rest to the type."""
+    if not isinstance(value, str):
+        return value
+    match = _SPEED.fullmatch(value)
+    if match is None:
+        raise ValueError("a speed is a number in m/s or a text such as '30 km/h'")
+    return float(match[1]) * _TO_METRES_PER_SECOND[match[2]]
+
+
+def _parse_pair(value: Any) -> Any:
+    """Accept YAML's lists where the type is a pair."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _is_ascending(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError("the first number must not be above the second")
+    return pair
+
+
+Real = Annotated[float, Field(strict=True)]
+Positive = Annotated[float, Field(strict=True, gt=0.0)]
+NonNegative = Annotated[float, Field(strict=True, ge=0.0)]
+Count = Annotated[int, Field(strict=True)]
+Speed = Annotated[Positive, BeforeValidator(_parse_speed)]
+SpeedRange = Annotated[
+    tuple[Speed, Speed], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
+]
+PositiveRange = Annotated[
+    tuple[Positive, Positive], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
+]
+NonNegativeRange = Annotated[
+    tuple[NonNegative, NonNegative], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
+]
+
+
+def _has_weight(mix: Mapping[Any, float]) -> Mapping[Any, float]:
+    if not sum(mix.values()) > 0.0:
+        raise ValueError("the shares must sum to more than 0")
+    return mix
+
+
+class Section(BaseModel):
+    """Fields that refuse unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Arc(Section):
+    """A stretch of constant curvature."""
+
+    start: NonNegative = Field(description="where the arc begins [m], >= 0, < end")
+    end: Positive = Field(description="where the arc ends [m], > start, <= road.length")
+    radius: Real = Field(
+        description="radius at the road's right edge [m], |radius| >= 50; positive bends left"
+    )
+
+
+class Road(Section):
+    """One direction of a highway; lane 0 is the right-most, positive lateral is left."""
+
+    length: Positive = Field(1000.0, ge=100.0, le=100_000.0, description="[m], 100 to 100,000")
+    num_lanes: Count = Field(3, ge=2, le=16, description="lanes [count], 2 to 16")
+    lane_width: Positive = Field(3.75, ge=2.5, le=6.0, description="[m], 2.5 to 6")
+    arcs: tuple[Arc, ...] = Field(
+        (), description="curved stretches [list], ascending, disjoint; straight elsewhere"
+    )
+
+    @model_validator(mode="after")
+    def _check_arcs(self) -> Self:
+        for arc in self.arcs:
+            if not arc.start < arc.end <= self.length:
+                raise ValueError(
+                    f"arcs: start {arc.start} and end {arc.end} must satisfy "
+                    f"0 <= start < end <= length = {self.length}"
+                )
+            if abs(arc.radius) < max(50.0, 2.0 * self.num_lanes * self.lane_width):
+                raise ValueError(
+                    f"arcs: |radius| = {abs(arc.radius)} must be at least 50 m and twice "
+                    "the road's width"
+                )
+        for first, second in pairwise(self.arcs):
+            if first.end > second.start:
+                raise ValueError(
+                    f"arcs: the arc that starts at {second.start} must not start before the "
+                    f"one ahead of it ends at {first.end}"
+                )
+        return self
+
+
+class Vehicle(Section):
+    """The rectangle that every vehicle is, and its physical limits."""
+
+    length: Positive = Field(4.8, ge=2.0, le=20.0, description="[m], 2 to 20")
+    width: Positive = Field(1.8, ge=0.5, le=2.5, description="[m], 0.5 to 2.5, < road.lane_width")
+    max_braking: Positive = Field(
+        8.0, ge=2.0, le=12.0, description="physical braking limit [m/s^2], 2 to 12"
+    )
+    min_turning_radius: Positive = Field(
+        5.5, ge=1.0, le=20.0, description="bounds |yaw rate| by speed/radius [m], 1 to 20"
+    )
+
+
+class DriverProfile(Section):
+    """An IDM parameter set (Eq. 9)."""
+
+    minimum_gap: Positive = Field(5.0, description="s0, gap at standstill [m], > 0")
+    time_headway: Positive = Field(1.0, description="T, time gap to the leader [s], > 0")
+    max_acceleration: Positive = Field(2.0, description="a_m [m/s^2], > 0")
+    comfortable_braking: Positive = Field(1.5, description="b [m/s^2], > 0")
+    exponent: Positive = Field(4.0, ge=1.0, description="delta [1], >= 1")
+
+
+def _default_profiles() -> dict[str, DriverProfile]:
+    return {
+        "normal": DriverProfile(),
+        "aggressive": DriverProfile(
+            minimum_gap=3.0, time_headway=0.6, max_acceleration=3.0, comfortable_braking=2.5
+        ),
+        "defensive": DriverProfile(
+            minimum_gap=6.0, time_headway=1.6, max_acceleration=1.4, comfortable_braking=1.2
+        ),
+    }
+
+
+class Drivers(Section):
+    """Who drives: the car-following law and the mix of profiles."""
+
+    car_following: Literal["max", "sum"] = Field(
+        "max", description="IDM form [name]: 'max' is the paper's Eq. 9, 'sum' the standard IDM"
+    )
+    profiles: dict[str, DriverProfile] = Field(
+        default_factory=_default_profiles,
+        min_length=1,
+        max_length=16,
+        description="IDM parameter sets by name [map], 1 to 16",
+    )
+    mix: Annotated[dict[str, NonNegative], AfterValidator(_has_weight)] = Field(
+        default={"normal": 1.0},
+        description="share of each profile [1], >= 0, names from profiles, not all 0",
+    )
+
+    @model_validator(mode="after")
+    def _check_mix(self) -> Self:
+        unknown = sorted(set(self.mix) - set(self.profiles))
+        if unknown:
+            raise ValueError(f"mix: {unknown} must be among the profiles {sorted(self.profiles)}")
+        return self
+
+
+class Departures(Section):
+    """How vehicles enter each lane."""
+
+    interval: PositiveRange = Field(
+        (5.0, 10.0), description="time between two departures of a lane [s], > 0, uniform"
+    )
+    initial_speed: SpeedRange = Field(
+        (30.0 / 3.6, 50.0 / 3.6), description="speed at entry [m/s or 'x km/h'], > 0, uniform"
+    )
+    desired_speed: SpeedRange = Field(
+        (80.0 / 3.6, 120.0 / 3.6),
+        description="v0, a driver's speed on a free road [m/s or 'x km/h'], > 0, uniform",
+    )
+
+
+class LaneKeeping(Section):
+    """Steering of every vehicle that no agent steers: three equal poles on the lane's centre."""
+
+    pole: Positive = Field(1.5, le=4.0, description="closed-loop pole [rad/s], > 0 to 4")
+    max_yaw_acceleration: Positive = Field(
+        0.5, le=5.0, description="bound of the steering [rad/s^2], > 0 to 5"
+    )
+
+
+class Command(Section):
+    """When a middle-lane vehicle is told to change lanes."""
+
+    position: NonNegativeRange = Field(
+        (140.0, 160.0),
+        description="where a vehicle may be commanded [m], >= 0, < road.length, uniform",
+    )
+    probability: NonNegative = Field(
+        1.0 / 3.0, le=1.0, description="share of the vehicles commanded [1], 0 to 1"
+    )
+    lanes: tuple[Count, ...] | None = Field(
+        None,
+        description="lanes whose vehicles are commanded [list of lanes with a lane on both "
+        "sides], null for all of them",
+    )
+
+
+class Gap(Section):
+    """The gap selector: gap >= minimum_gap + time_gap v_rear + max(0, dv)^2/(2 max_braking)."""
+
+    minimum_gap: NonNegative = Field(2.0, description="d_min [m], >= 0")
+    time_gap: NonNegative = Field(0.4, description="tau [s], >= 0")
+    max_braking: Positive = Field(4.0, description="b_max of the vehicle behind [m/s^2], > 0")
+
+
+class Cooperative(Section):
+    """A follower that takes the engaged changer as its leader from engagement on."""
+
+    time_headway: Positive = Field(1.5, description="T toward the changer [s], > 0")
+    max_braking: Positive = Field(
+        2.0, description="hardest braking for a changer not yet in its lane [m/s^2], > 0"
+    )
+
+
+class Adversarial(Section):
+    """A follower that closes the gap until the changer's body is in its lane."""
+
+    desired_speed_factor: Positive = Field(
+        1.3, ge=1.0, le=2.0, description="on its desired speed [1], 1 to 2"
+    )
+    max_acceleration: Positive = Field(3.0, description="a_m while it closes the gap [m/s^2], > 0")
+    time_headway: Positive = Field(0.5, description="T while it closes the gap [s], > 0")
+
+
+Disposition = Literal["cooperative", "neutral", "adversarial"]
+
+
+class Followers(Section):
+    """What the vehicle behind an engaged changer in its target lane does."""
+
+    mix: Annotated[dict[Disposition, NonNegative], AfterValidator(_has_weight)] = Field(
+        default={"neutral": 1.0},
+        description="share of each disposition [1]: cooperative, neutral, adversarial; >= 0, "
+        "not all 0",
+    )
+    cooperative: Cooperative = Field(
+        default=Cooperative(), description="parameters of the cooperative ones [section]"
+    )
+    adversarial: Adversarial = Field(
+        default=Adversarial(), description="parameters of the adversarial ones [section]"
+    )
+
+
+class Completion(Section):
+    """When an engaged changer has completed: every bound that is set holds."""
+
+    max_deviation: Positive = Field(0.2, description="|lateral deviation| [m], > 0")
+    max_lateral_speed: Positive | None = Field(
+        None, description="|lateral speed| [m/s], > 0, null for no bound"
+    )
+    max_yaw_rate: Positive | None = Field(
+        None, description="|yaw rate - the road's own| [rad/s], > 0, null for no bound"
+    )
+
+
+class Action(Section):
+    """The agent's action."""
+
+    max_yaw_acceleration: Positive = Field(
+        0.5, le=5.0, description="bound of the yaw acceleration [rad/s^2], > 0 to 5"
+    )
+
+
+FeatureName = Literal[
+    "speed",
+    "acceleration",
+    "lateral_deviation",
+    "lateral_speed",
+    "yaw",
+    "yaw_rate",
+    "curvature",
+    "leader_gap",
+    "leader_relative_speed",
+    "follower_gap",
+    "follower_relative_speed",
+    "target_leader_gap",
+    "target_leader_relative_speed",
+    "target_follower_gap",
+    "target_follower_relative_speed",
+    "phase",
+    "time",
+]
+PAPER_FEATURES: tuple[FeatureName, ...] = (
+    "speed",
+    "acceleration",
+    "lateral_deviation",
+    "yaw",
+    "yaw_rate",
+    "curvature",
+)
+
+
+class Observation(Section):
+    """What an agent sees."""
+
+    features: tuple[FeatureName, ...] = Field(
+        PAPER_FEATURES, min_length=1, description="feature names in order [list], no name twice"
+    )
+    sensor_range: Positive = Field(
+        200.0, description="gaps are cut off here; no vehicle looks like this gap [m], > 0"
+    )
+
+    @model_validator(mode="after")
+    def _check_features(self) -> Self:
+        twice = sorted({name for name in self.features if self.features.count(name) > 1})
+        if twice:
+            raise ValueError(f"features: {twice} must be named once")
+        return self
+
+
+class Reward(Section):
+    """Eq. 10-12 and the failure penalty."""
+
+    acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
+    yaw_rate_weight: NonNegative = Field(0.5, description="w_rate [1/(rad/s)], >= 0")
+    deviation_weight: NonNegative = Field(0.05, description="w_dev [1], >= 0")
+    average_deviation: Positive = Field(1.875, description="d_avg [m], > 0")
+    failure_penalty: NonNegative = Field(
+        10.0, description="paid once at a collision or off the road [1], >= 0"
+    )
+
+
+class Scenario(Section):
+    """A road, its traffic, the commands, the agents' action, observation and reward."""
+
+    name: str = Field(min_length=1, description="the scenario's name [text]")
+    description: str = Field("", description="one sentence on what it is for [text]")
+    time_step: Positive = Field(0.1, ge=0.01, le=0.5, description="dt [s], 0.01 to 0.5")
+    num_agents: Count | None = Field(
+        10,
+        ge=1,
+        le=100_000,
+        description="commands an episode [count], 1 to 100,000, null for no end",
+    )
+    horizon: Positive | None = Field(
+        1800.0, description="longest episode after the warm-up [s], > 0, null for no end"
+    )
+    num_slots: Count = Field(
+        8, ge=1, le=64, description="agents live at once at most [count], 1 to 64"
+    )
+    max_vehicles: Count = Field(
+        64, ge=4, le=4096, description="vehicles on the road at most [count], 4 to 4,096"
+    )
+    warmup: NonNegativeRange = Field(
+        (60.0, 90.0), description="age of the traffic at a reset [s], >= 0, uniform"
+    )
+    road: Road = Field(default=Road(), description="geometry [section]")
+    vehicle: Vehicle = Field(default=Vehicle(), description="body and limits [section]")
+    drivers: Drivers = Field(default=Drivers(), description="car following [section]")
+    departures: Departures = Field(default=Departures(), description="inflow [section]")
+    lane_keeping: LaneKeeping = Field(default=LaneKeeping(), description="steering [section]")
+    command: Command = Field(default=Command(), description="lane-change commands [section]")
+    gap: Gap = Field(default=Gap(), description="gap selector [section]")
+    followers: Followers = Field(default=Followers(), description="dispositions [section]")
+    completion: Completion = Field(default=Completion(), description="end of a change [section]")
+    action: Action = Field(default=Action(), description="bounds of the action [section]")
+    observation: Observation = Field(default=Observation(), description="features [section]")
+    reward: Reward = Field(default=Reward(), description="weights of the terms [section]")
+
+    @property
+    def middle_lanes(self) -> tuple[int, ...]:
+        """Lanes with a lane on both sides."""
+        return tuple(range(1, self.road.num_lanes - 1))
+
+    @property
+    def command_lanes(self) -> tuple[int, ...]:
+        """Lanes whose vehicles may be commanded."""
+        return self.middle_lanes if self.command.lanes is None else self.command.lanes
+
+    @model_validator(mode="after")
+    def _check_together(self) -> Self:
+        if self.vehicle.width >= self.road.lane_width:
+            raise ValueError(
+                f"vehicle.width = {self.vehicle.width} must be below road.lane_width = "
+                f"{self.road.lane_width}"
+            )
+        if self.command.position[1] >= self.road.length:
+            raise ValueError(
+                f"command.position = {list(self.command.position)} must lie below road.length = "
+                f"{self.road.length}"
+            )
+        missing = [lane for lane in self.command.lanes or () if lane not in self.middle_lanes]
+        if missing:
+            raise ValueError(
+                f"command.lanes = {missing} must be among the middle lanes "
+                f"{list(self.middle_lanes)} of road.num_lanes = {self.road.num_lanes}"
+            )
+        if self.command.probability > 0.0 and not self.command_lanes:
+            raise ValueError(
+                f"command.probability = {self.command.probability} must be 0: a road of "
+                f"road.num_lanes = {self.road.num_lanes} with command.lanes = {self.command.lanes} "
+                "has no middle lane to command"
+            )
+        if self.completion.max_deviation >= self.road.lane_width / 2.0:
+            raise ValueError(
+                f"completion.max_deviation = {self.completion.max_deviation} must be below half "
+                f"of road.lane_width = {self.road.lane_width}"
+            )
+        return self

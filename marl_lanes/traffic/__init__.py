@@ -1,0 +1,1 @@
+"""The simulation: numpy and numba only."""

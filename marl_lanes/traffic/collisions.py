@@ -1,0 +1,100 @@
+"""Two bodies overlapping: detection, the record, and the removal from the road."""
+
+import math
+from typing import Any
+
+from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.kinematics import half_extent
+from marl_lanes.traffic.state import NONE, CollisionKind
+
+STAYS = 0
+LEAVES = 1
+COLLIDES = 2
+"""What a step does with a vehicle: the values of ``vehicles.fate``."""
+
+_REAR_END = int(CollisionKind.REAR_END)
+_SIDE = int(CollisionKind.SIDE)
+
+
+@compiled
+def _is_separated(ahead: float, across: float, yaw: float, other: float, constants: Any) -> bool:
+    """Whether an axis of the rectangle at ``yaw`` separates it from the one at ``other``."""
+    length, width = 0.5 * constants.vehicle_length, 0.5 * constants.vehicle_width
+    cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
+    along = abs(ahead * cos_yaw + across * sin_yaw)
+    aside = abs(across * cos_yaw - ahead * sin_yaw)
+    cos_turn, sin_turn = abs(math.cos(other - yaw)), abs(math.sin(other - yaw))
+    return bool(
+        along >= length + length * cos_turn + width * sin_turn
+        or aside >= width + length * sin_turn + width * cos_turn
+    )
+
+
+@compiled
+def is_overlapping(rear: Any, front: Any, constants: Any) -> bool:
+    """Whether the two rectangles overlap (separating axes; touching is not overlapping)."""
+    ahead = front.position - rear.position
+    across = front.lateral_position - rear.lateral_position
+    if abs(across) >= half_extent(rear.yaw, constants) + half_extent(front.yaw, constants):
+        return False
+    if rear.yaw == 0.0 and front.yaw == 0.0:
+        return bool(abs(ahead) < constants.vehicle_length)
+    return not _is_separated(ahead, across, rear.yaw, front.yaw, constants) and not _is_separated(
+        ahead, across, front.yaw, rear.yaw, constants
+    )
+
+
+@compiled
+def _record(road: Any, rear: Any, front: Any, agents: Any, record: Any, constants: Any) -> None:
+    closing = rear.speed - front.speed
+    gap_before = front.position - rear.position + closing * constants.time_step
+    record.step = road.step
+    record.rear_id = rear.id
+    record.front_id = front.id
+    record.rear_command = NONE if rear.agent == NONE else agents[rear.agent].command
+    record.front_command = NONE if front.agent == NONE else agents[front.agent].command
+    # Side by side a step ago: the contact came across the road, not along it.
+    record.kind = _SIDE if abs(gap_before) < constants.vehicle_length else _REAR_END
+    record.position = rear.position
+    record.closing_speed = closing
+
+
+@compiled
+def detect_collisions(
+    road: Any, vehicles: Any, order: Any, agents: Any, collisions: Any, constants: Any
+) -> None:
+    """Record every overlapping pair and mark both vehicles."""
+    length, width = constants.vehicle_length, constants.vehicle_width
+    reach = math.sqrt(length * length + width * width)
+    for rank in range(road.num_vehicles):
+        front = vehicles[order[rank]]
+        for behind in range(rank + 1, road.num_vehicles):
+            rear = vehicles[order[behind]]
+            if front.position - rear.position >= reach:
+                break
+            if is_overlapping(rear, front, constants):
+                newest = road.num_collisions % collisions.shape[0]
+                _record(road, rear, front, agents, collisions[newest], constants)
+                road.num_collisions += 1
+                rear.fate = COLLIDES
+                front.fate = COLLIDES
+
+
+@compiled
+def remove_vehicles(road: Any, vehicles: Any, order: Any) -> None:
+    """Take the marked vehicles off the road, count them, and close the order."""
+    kept = 0
+    for rank in range(road.num_vehicles):
+        slot = order[rank]
+        car = vehicles[slot]
+        if car.fate == STAYS:
+            order[kept] = slot
+            kept += 1
+            continue
+        if car.fate == COLLIDES:
+            road.num_collided += 1
+        else:
+            road.num_left += 1
+        car.id = NONE
+        car.agent = NONE
+    road.num_vehicles = kept

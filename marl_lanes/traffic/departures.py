@@ -1,0 +1,108 @@
+"""Vehicles entering the road."""
+
+import math
+from typing import Any
+
+from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.idm import interaction_term
+from marl_lanes.traffic.kinematics import lane_centre, occupy, road_turn_rate
+from marl_lanes.traffic.neighbors import bumper_gap, neighbor_in_lane
+from marl_lanes.traffic.random import choice, uniform
+from marl_lanes.traffic.state import NONE
+
+
+@compiled
+def schedule(road: Any, lane_record: Any, now: float, profiles: Any, constants: Any) -> None:
+    """Draw when the lane's next vehicle departs, how fast, and by whom it is driven."""
+    wait = uniform(road, constants.interval_low, constants.interval_high)
+    lane_record.next_departure = now + wait
+    lane_record.next_speed = uniform(
+        road, constants.initial_speed_low, constants.initial_speed_high
+    )
+    lane_record.next_profile = choice(road, profiles["share"])
+
+
+@compiled
+def has_room(front: Any, entering: Any, profile: Any, constants: Any) -> bool:
+    """Whether the gap to the vehicle ahead is at least the driver's own desired gap s*."""
+    term = interaction_term(
+        entering.speed,
+        bumper_gap(entering, front, constants),
+        entering.speed - front.speed,
+        profile.minimum_gap,
+        profile.time_headway,
+        profile.braking_scale,
+    )
+    return bool(term <= 1.0) and bumper_gap(entering, front, constants) > 0.0
+
+
+@compiled
+def _place(car: Any, lane: int, lane_record: Any, arcs: Any, constants: Any) -> None:
+    """Put a vehicle at the lane's beginning."""
+    car.position = 0.0
+    car.lateral_position = lane_centre(lane, constants.lane_width)
+    car.speed = lane_record.next_speed
+    car.acceleration = 0.0
+    car.yaw = 0.0
+    car.yaw_acceleration = 0.0
+    car.profile = lane_record.next_profile
+    car.lane = lane
+    car.agent = NONE
+    car.changer = NONE
+    car.fate = 0
+    car.yaw_rate = road_turn_rate(car, arcs)
+    occupy(car, constants)
+
+
+@compiled
+def depart(
+    road: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    constants: Any,
+    profiles: Any,
+    dispositions: Any,
+    arcs: Any,
+) -> None:
+    """Let the vehicles whose time has come enter, where there is room; the others wait."""
+    now = road.step * constants.time_step
+    for lane in range(lanes.shape[0]):
+        if now < lanes[lane].next_departure or road.num_vehicles == vehicles.shape[0]:
+            continue
+        slot = 0
+        while vehicles[slot].id != NONE:
+            slot += 1
+        car = vehicles[slot]
+        _place(car, lane, lanes[lane], arcs, constants)
+        count = road.num_vehicles
+        front = neighbor_in_lane(count, lane, -1, order, count, vehicles, agents)
+        if front != NONE and not has_room(vehicles[front], car, profiles[car.profile], constants):
+            continue
+        car.id = road.num_entered
+        car.desired_speed = uniform(road, constants.desired_speed_low, constants.desired_speed_high)
+        car.disposition = choice(road, dispositions)
+        car.command_position = uniform(road, constants.command_low, constants.command_high)
+        order[count] = slot
+        road.num_vehicles += 1
+        road.num_entered += 1
+        schedule(road, lanes[lane], now, profiles, constants)
+
+
+@compiled
+def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: Any) -> None:
+    """An empty road at the beginning of its warm-up; the random numbers go on."""
+    for slot in range(vehicles.shape[0]):
+        vehicles[slot].id = NONE
+        vehicles[slot].agent = NONE
+    warmup = uniform(road, constants.warmup_low, constants.warmup_high)
+    road.step = -math.ceil(warmup / constants.time_step)
+    road.num_vehicles = road.num_entered = road.num_left = road.num_off_road = 0
+    road.num_collided = road.num_collisions = 0
+    road.num_commands = road.num_live = road.is_done = 0
+    now = road.step * constants.time_step
+    for lane in range(lanes.shape[0]):
+        schedule(road, lanes[lane], now, profiles, constants)
+        # Roads begin at a random moment between two departures.
+        lanes[lane].next_departure = now + uniform(road, 0.0, constants.interval_high)

@@ -1,0 +1,120 @@
+"""Longitudinal acceleration of every vehicle: the leaders in its lanes, and its disposition.
+
+cooperative: takes the engaged changer as its leader from engagement on, with a longer headway and
+gentle braking while the changer's body is not yet in its lane. neutral: plain car following; the
+changer counts once its body overlaps the lane. adversarial: until the body is in its lane it drives
+for a higher speed, with more acceleration and a shorter headway, as if the changer were not there;
+then it follows the car-following law, as hard as it must brake.
+"""
+
+from typing import Any
+
+from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
+from marl_lanes.traffic.neighbors import bumper_gap
+from marl_lanes.traffic.state import NONE, Disposition, Phase
+
+_COOPERATIVE = int(Disposition.COOPERATIVE)
+_ADVERSARIAL = int(Disposition.ADVERSARIAL)
+_ENGAGED = int(Phase.ENGAGED)
+
+
+@compiled
+def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, c: Any) -> float:
+    """The interaction term toward ``front``."""
+    gap = bumper_gap(car, front, c)
+    return interaction_term(car.speed, gap, car.speed - front.speed, s0, headway, scale)
+
+
+@compiled
+def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
+    """Plain car following behind one leader, or none [m/s^2]."""
+    interaction = 0.0
+    if front != NONE:
+        interaction = _interaction(
+            car,
+            vehicles[front],
+            profile.time_headway,
+            profile.braking_scale,
+            profile.minimum_gap,
+            constants,
+        )
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    return idm_acceleration(profile.max_acceleration, free_road, interaction, constants.is_sum_form)
+
+
+@compiled
+def _drive_among(
+    car: Any, profile: Any, lanes: Any, vehicles: Any, agents: Any, constants: Any
+) -> float:
+    """The smallest acceleration toward the leaders in several lanes, by disposition [m/s^2]."""
+    headway, scale = profile.time_headway, profile.braking_scale
+    limit, desired_speed = profile.max_acceleration, car.desired_speed
+    has_changer = car.changer != NONE
+    is_body_in = False
+    if has_changer:
+        changer = vehicles[car.changer]
+        is_body_in = changer.lane_low <= car.lane <= changer.lane_high
+    if has_changer and not is_body_in and car.disposition == _ADVERSARIAL:
+        headway, scale = constants.adversarial_time_headway, profile.adversarial_braking_scale
+        limit = constants.adversarial_max_acceleration
+        desired_speed = desired_speed * constants.adversarial_speed_factor
+
+    interaction = 0.0
+    for lane in range(car.lane_low, car.lane_high + 1):
+        front = lanes[lane].nearest
+        if front != NONE:
+            term = _interaction(
+                car, vehicles[front], headway, scale, profile.minimum_gap, constants
+            )
+            interaction = max(interaction, term)
+    if car.agent != NONE and agents[car.agent].phase == _ENGAGED:
+        target = lanes[agents[car.agent].target_lane]
+        for front in (target.nearest, target.nearest_engaged):
+            if front != NONE:
+                term = _interaction(
+                    car, vehicles[front], headway, scale, profile.minimum_gap, constants
+                )
+                interaction = max(interaction, term)
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
+
+    if has_changer and car.disposition == _COOPERATIVE:
+        headway = constants.cooperative_time_headway
+        term = _interaction(
+            car, vehicles[car.changer], headway, scale, profile.minimum_gap, constants
+        )
+        yielding = idm_acceleration(limit, free_road, term, constants.is_sum_form)
+        if not is_body_in:
+            yielding = max(yielding, -constants.cooperative_max_braking)
+        acceleration = min(acceleration, yielding)
+    return acceleration
+
+
+@compiled
+def accelerate(
+    road: Any, lanes: Any, vehicles: Any, order: Any, agents: Any, profiles: Any, constants: Any
+) -> None:
+    """Set every vehicle's acceleration, not below the physical braking limit.
+
+    One sweep from the front of the road to its rear, in which each lane remembers the vehicle last
+    seen in it: the leader of the next one.
+    """
+    for lane in range(lanes.shape[0]):
+        lanes[lane].nearest = NONE
+        lanes[lane].nearest_engaged = NONE
+    for rank in range(road.num_vehicles):
+        slot = order[rank]
+        car = vehicles[slot]
+        profile = profiles[car.profile]
+        is_changing = car.agent != NONE and agents[car.agent].phase == _ENGAGED
+        if car.lane_low == car.lane_high and car.changer == NONE and not is_changing:
+            front = lanes[car.lane_low].nearest
+            acceleration = _drive_alone(car, profile, front, vehicles, constants)
+        else:
+            acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
+        car.acceleration = max(acceleration, -constants.max_braking)
+        for lane in range(car.lane_low, car.lane_high + 1):
+            lanes[lane].nearest = slot
+        if is_changing:
+            lanes[agents[car.agent].target_lane].nearest_engaged = slot

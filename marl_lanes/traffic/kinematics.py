@@ -1,0 +1,96 @@
+"""Longitudinal and yaw integration in the road (Frenet) frame; lane keeping."""
+
+import math
+from typing import Any
+
+from marl_lanes.traffic.compiled import compiled
+
+_KEEPING_MIN_SPEED = 1.0
+"""[m/s] Lane keeping divides by the speed; below this it steers as if it went this fast."""
+
+
+@compiled
+def curvature_at(arcs: Any, position: float) -> float:
+    """The road's curvature c(s) [1/m], piecewise constant; positive bends left."""
+    for arc in range(arcs.shape[0]):
+        if arcs[arc].start <= position < arcs[arc].end:
+            return float(arcs[arc].curvature)
+    return 0.0
+
+
+@compiled
+def road_turn_rate(car: Any, arcs: Any) -> float:
+    """How fast the road turns under the car: c s', s' = v cos(psi)/(1 - c d) [rad/s]."""
+    curvature = curvature_at(arcs, car.position)
+    if curvature == 0.0:
+        return 0.0
+    progress = car.speed * math.cos(car.yaw) / (1.0 - curvature * car.lateral_position)
+    return float(curvature * progress)
+
+
+@compiled
+def lane_centre(lane: int, lane_width: float) -> float:
+    """Lateral position of a lane's centre [m]."""
+    return (lane + 0.5) * lane_width
+
+
+@compiled
+def half_extent(yaw: float, constants: Any) -> float:
+    """Half of the body's width across the road: (l/2)|sin psi| + (w/2)|cos psi| [m]."""
+    if yaw == 0.0:
+        return 0.5 * float(constants.vehicle_width)
+    across = constants.vehicle_length * abs(math.sin(yaw))
+    return 0.5 * float(across + constants.vehicle_width * abs(math.cos(yaw)))
+
+
+@compiled
+def keep_lane(car: Any, turn_rate: float, constants: Any) -> float:
+    """p^3 e/v - 3 p^2 psi - 3 p (omega - c s'), bounded: yaw acceleration [rad/s^2].
+
+    Three equal poles at -p of e''' = -v yaw_acceleration, e the distance to the centre of the
+    car's lane, positive to the left.
+    """
+    error = lane_centre(car.lane, constants.lane_width) - car.lateral_position
+    turning = car.yaw_rate - turn_rate
+    if error == 0.0 and car.yaw == 0.0 and turning == 0.0:
+        return 0.0
+    pole = constants.keeping_pole
+    speed = max(car.speed, _KEEPING_MIN_SPEED)
+    steering = pole * pole * (pole * error / speed - 3.0 * car.yaw) - 3.0 * pole * turning
+    bound = constants.keeping_max_yaw_acceleration
+    return float(min(max(steering, -bound), bound))
+
+
+@compiled
+def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> None:
+    """One semi-implicit Euler step of dt under the car's acceleration and yaw acceleration.
+
+    v += a dt (not below 0); omega += alpha dt, |omega| <= v/R_min; psi += (omega - c s') dt;
+    s += v cos(psi)/(1 - c d) dt; d += v sin(psi) dt. Each line uses what the lines before it gave.
+    """
+    step = constants.time_step
+    speed = max(0.0, car.speed + car.acceleration * step)
+    car.speed = speed
+    if car.yaw == 0.0 and car.yaw_rate == 0.0 and car.yaw_acceleration == 0.0 and turn_rate == 0.0:
+        car.position += speed * step
+        return
+    fastest = speed / constants.min_turning_radius
+    yaw_rate = car.yaw_rate + car.yaw_acceleration * step
+    car.yaw_rate = min(max(yaw_rate, -fastest), fastest)
+    car.yaw += (car.yaw_rate - turn_rate) * step
+    curvature = curvature_at(arcs, car.position)
+    progress = speed * math.cos(car.yaw) / (1.0 - curvature * car.lateral_position)
+    car.position += progress * step
+    car.lateral_position += speed * math.sin(car.yaw) * step
+    occupy(car, constants)
+
+
+@compiled
+def occupy(car: Any, constants: Any) -> None:
+    """Set the lanes that the body overlaps, off-road parts counted to the outermost lane."""
+    extent = half_extent(car.yaw, constants)
+    last = constants.num_lanes - 1
+    low = math.floor((car.lateral_position - extent) / constants.lane_width)
+    high = math.floor((car.lateral_position + extent) / constants.lane_width)
+    car.lane_low = min(max(low, 0), last)
+    car.lane_high = min(max(high, 0), last)

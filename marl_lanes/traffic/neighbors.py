@@ -1,0 +1,65 @@
+"""Who is ahead and who is behind, lane by lane, along the order of decreasing position."""
+
+from typing import Any
+
+from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.state import NONE, Phase
+
+_ENGAGED = int(Phase.ENGAGED)
+
+
+@compiled
+def sort_by_position(order: Any, count: int, vehicles: Any) -> None:
+    """Restore the order of decreasing position: an insertion sort, near linear on near order."""
+    for rank in range(1, count):
+        slot = order[rank]
+        position = vehicles[slot].position
+        below = rank - 1
+        while below >= 0 and vehicles[order[below]].position < position:
+            order[below + 1] = order[below]
+            below -= 1
+        order[below + 1] = slot
+
+
+@compiled
+def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
+    """Whether the body overlaps the lane, or the car is engaged toward it."""
+    if car.lane_low <= lane <= car.lane_high:
+        return True
+    if car.agent == NONE:
+        return False
+    agent = agents[car.agent]
+    return bool(agent.phase == _ENGAGED and agent.target_lane == lane)
+
+
+@compiled
+def neighbor_in_lane(
+    rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
+) -> int:
+    """Slot of the nearest vehicle in the lane from ``rank`` on: stride -1 ahead, +1 behind."""
+    other = rank + stride
+    while 0 <= other < count:
+        slot = order[other]
+        if is_in_lane(vehicles[slot], lane, agents):
+            return int(slot)
+        other += stride
+    return NONE
+
+
+@compiled
+def find_agent_neighbors(agent: Any, order: Any, count: int, vehicles: Any, agents: Any) -> None:
+    """Set the agent's leader and follower in its origin and in its target lane."""
+    rank = 0
+    while order[rank] != agent.vehicle:
+        rank += 1
+    origin, target = agent.origin_lane, agent.target_lane
+    agent.leader = neighbor_in_lane(rank, origin, -1, order, count, vehicles, agents)
+    agent.follower = neighbor_in_lane(rank, origin, 1, order, count, vehicles, agents)
+    agent.target_leader = neighbor_in_lane(rank, target, -1, order, count, vehicles, agents)
+    agent.target_follower = neighbor_in_lane(rank, target, 1, order, count, vehicles, agents)
+
+
+@compiled
+def bumper_gap(rear: Any, front: Any, constants: Any) -> float:
+    """Bumper-to-bumper distance [m], negative where the bodies overlap lengthwise."""
+    return float(front.position - rear.position - constants.vehicle_length)

@@ -1,0 +1,180 @@
+"""A scenario's numbers in the form that kernels read: records of scalars, no Python objects."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_lanes.scenario.schema import Scenario
+from marl_lanes.traffic.observation import feature_codes
+from marl_lanes.traffic.state import Disposition, Records, Table, structure
+
+NO_BOUND = np.inf
+
+CONSTANTS: Table = (
+    ("time_step", "f8", "s", "dt"),
+    ("road_length", "f8", "m", ""),
+    ("lane_width", "f8", "m", ""),
+    ("num_lanes", "i8", "1", "L"),
+    ("vehicle_length", "f8", "m", ""),
+    ("vehicle_width", "f8", "m", ""),
+    ("max_braking", "f8", "m/s^2", "physical limit"),
+    ("min_turning_radius", "f8", "m", ""),
+    ("is_sum_form", "i8", "1", "1 for the standard IDM, 0 for Eq. 9"),
+    ("interval_low", "f8", "s", "departures"),
+    ("interval_high", "f8", "s", "departures"),
+    ("initial_speed_low", "f8", "m/s", ""),
+    ("initial_speed_high", "f8", "m/s", ""),
+    ("desired_speed_low", "f8", "m/s", ""),
+    ("desired_speed_high", "f8", "m/s", ""),
+    ("warmup_low", "f8", "s", ""),
+    ("warmup_high", "f8", "s", ""),
+    ("keeping_pole", "f8", "rad/s", "lane keeping"),
+    ("keeping_max_yaw_acceleration", "f8", "rad/s^2", "lane keeping"),
+    ("command_low", "f8", "m", "command position"),
+    ("command_high", "f8", "m", "command position"),
+    ("command_probability", "f8", "1", ""),
+    ("command_lanes", "i8", "1", "bit l set where vehicles of lane l are commanded"),
+    ("num_agents", "i8", "1", "commands an episode, 0 for no end"),
+    ("horizon_steps", "i8", "step", "0 for no end"),
+    ("gap_minimum", "f8", "m", "d_min of the gap selector"),
+    ("gap_time", "f8", "s", "tau of the gap selector"),
+    ("gap_max_braking", "f8", "m/s^2", "b_max of the gap selector"),
+    ("cooperative_time_headway", "f8", "s", ""),
+    ("cooperative_max_braking", "f8", "m/s^2", ""),
+    ("adversarial_speed_factor", "f8", "1", ""),
+    ("adversarial_max_acceleration", "f8", "m/s^2", ""),
+    ("adversarial_time_headway", "f8", "s", ""),
+    ("completion_max_deviation", "f8", "m", ""),
+    ("completion_max_lateral_speed", "f8", "m/s", "inf for no bound"),
+    ("completion_max_yaw_rate", "f8", "rad/s", "inf for no bound"),
+    ("max_yaw_acceleration", "f8", "rad/s^2", "bound of the action"),
+    ("sensor_range", "f8", "m", ""),
+    ("acceleration_weight", "f8", "s^2/rad", "Eq. 10"),
+    ("yaw_rate_weight", "f8", "s/rad", "Eq. 11"),
+    ("deviation_weight", "f8", "1", "Eq. 12"),
+    ("average_deviation", "f8", "m", "Eq. 12"),
+    ("failure_penalty", "f8", "1", ""),
+)
+
+PROFILE: Table = (
+    ("share", "f8", "1", "cumulative share in the mix, last 1"),
+    ("minimum_gap", "f8", "m", "s0"),
+    ("time_headway", "f8", "s", "T"),
+    ("max_acceleration", "f8", "m/s^2", "a_m"),
+    ("comfortable_braking", "f8", "m/s^2", "b"),
+    ("exponent", "f8", "1", "delta"),
+    ("braking_scale", "f8", "m/s^2", "2 sqrt(a_m b)"),
+    ("adversarial_braking_scale", "f8", "m/s^2", "the same with the adversarial a_m"),
+)
+
+ARC: Table = (
+    ("start", "f8", "m", ""),
+    ("end", "f8", "m", ""),
+    ("curvature", "f8", "1/m", "positive bends left"),
+)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The constants of a scenario, in the order in which every kernel takes them."""
+
+    constants: Records
+    """(1,) CONSTANTS."""
+    profiles: Records
+    """(P,) PROFILE."""
+    dispositions: NDArray[np.float64]
+    """(3,) cumulative shares by Disposition, last 1."""
+    arcs: Records
+    """(K,) ARC, ascending."""
+    features: NDArray[np.int32]
+    """(F,) codes of the observation's features."""
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.generic], ...]:
+        """The arrays in kernel order."""
+        return self.constants, self.profiles, self.dispositions, self.arcs, self.features
+
+
+def make_parameters(scenario: Scenario) -> Parameters:
+    """The numbers of ``scenario`` for the kernels."""
+    profiles = np.zeros(len(scenario.drivers.profiles), structure(PROFILE))
+    shares = [scenario.drivers.mix.get(name, 0.0) for name in scenario.drivers.profiles]
+    profiles["share"] = _cumulative(shares)
+    for row, profile in zip(profiles, scenario.drivers.profiles.values(), strict=True):
+        for name, value in profile.model_dump().items():
+            row[name] = value
+        braking = profile.comfortable_braking
+        adversarial = scenario.followers.adversarial.max_acceleration
+        row["braking_scale"] = 2.0 * math.sqrt(profile.max_acceleration * braking)
+        row["adversarial_braking_scale"] = 2.0 * math.sqrt(adversarial * braking)
+    followers = dict[str, float](scenario.followers.mix.items())
+    arcs = np.zeros(len(scenario.road.arcs), structure(ARC))
+    for row, arc in zip(arcs, scenario.road.arcs, strict=True):
+        row["start"], row["end"], row["curvature"] = arc.start, arc.end, 1.0 / arc.radius
+    return Parameters(
+        constants=_make_constants(scenario),
+        profiles=profiles,
+        dispositions=_cumulative([followers.get(kind.name.lower(), 0.0) for kind in Disposition]),
+        arcs=arcs,
+        features=feature_codes(scenario.observation.features),
+    )
+
+
+def _cumulative(shares: list[float]) -> NDArray[np.float64]:
+    cumulative = np.cumsum(np.asarray(shares, np.float64))
+    return np.asarray(cumulative / cumulative[-1])
+
+
+def _make_constants(scenario: Scenario) -> Records:
+    completion, departures = scenario.completion, scenario.departures
+    values: dict[str, float] = {
+        "time_step": scenario.time_step,
+        "road_length": scenario.road.length,
+        "lane_width": scenario.road.lane_width,
+        "num_lanes": scenario.road.num_lanes,
+        "vehicle_length": scenario.vehicle.length,
+        "vehicle_width": scenario.vehicle.width,
+        "max_braking": scenario.vehicle.max_braking,
+        "min_turning_radius": scenario.vehicle.min_turning_radius,
+        "is_sum_form": scenario.drivers.car_following == "sum",
+        "interval_low": departures.interval[0],
+        "interval_high": departures.interval[1],
+        "initial_speed_low": departures.initial_speed[0],
+        "initial_speed_high": departures.initial_speed[1],
+        "desired_speed_low": departures.desired_speed[0],
+        "desired_speed_high": departures.desired_speed[1],
+        "warmup_low": scenario.warmup[0],
+        "warmup_high": scenario.warmup[1],
+        "keeping_pole": scenario.lane_keeping.pole,
+        "keeping_max_yaw_acceleration": scenario.lane_keeping.max_yaw_acceleration,
+        "command_low": scenario.command.position[0],
+        "command_high": scenario.command.position[1],
+        "command_probability": scenario.command.probability,
+        "command_lanes": sum(1 << lane for lane in scenario.command_lanes),
+        "num_agents": scenario.num_agents or 0,
+        "horizon_steps": round((scenario.horizon or 0.0) / scenario.time_step),
+        "gap_minimum": scenario.gap.minimum_gap,
+        "gap_time": scenario.gap.time_gap,
+        "gap_max_braking": scenario.gap.max_braking,
+        "cooperative_time_headway": scenario.followers.cooperative.time_headway,
+        "cooperative_max_braking": scenario.followers.cooperative.max_braking,
+        "adversarial_speed_factor": scenario.followers.adversarial.desired_speed_factor,
+        "adversarial_max_acceleration": scenario.followers.adversarial.max_acceleration,
+        "adversarial_time_headway": scenario.followers.adversarial.time_headway,
+        "completion_max_deviation": completion.max_deviation,
+        "completion_max_lateral_speed": completion.max_lateral_speed or NO_BOUND,
+        "completion_max_yaw_rate": completion.max_yaw_rate or NO_BOUND,
+        "max_yaw_acceleration": scenario.action.max_yaw_acceleration,
+        "sensor_range": scenario.observation.sensor_range,
+        "acceleration_weight": scenario.reward.acceleration_weight,
+        "yaw_rate_weight": scenario.reward.yaw_rate_weight,
+        "deviation_weight": scenario.reward.deviation_weight,
+        "average_deviation": scenario.reward.average_deviation,
+        "failure_penalty": scenario.reward.failure_penalty,
+    }
+    constants = np.zeros(1, structure(CONSTANTS))
+    for name, _, _, _ in CONSTANTS:
+        constants[0][name] = values[name]
+    return constants

@@ -1,0 +1,183 @@
+"""Roads that advance together: owns the arrays, validates what comes in, shares out the threads."""
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.traffic.parameters import make_parameters
+from marl_lanes.traffic.state import Outcome, Phase, Records, allocate
+from marl_lanes.traffic.step import RESET, SKIP, STEP, run
+
+_ROADS_PER_THREAD = 64
+"""Below this many roads a second thread costs more than it saves."""
+
+
+class Simulator:
+    """E independent roads of one scenario.
+
+    The same seed and actions give the same bytes, whatever ``num_threads`` is, and road e of a
+    batch is the road that a simulator of more or fewer roads has at index e.
+
+    Args:
+        scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
+        num_envs: E, >= 1.
+        seed: of the random numbers, 0 to 2^64 - 1.
+        num_threads: threads that share the roads; by default one for every 64 roads, at most the
+            number of processors.
+        overrides: scenario fields to replace, as in ``load_scenario``.
+
+    Raises:
+        ScenarioError: the scenario cannot be.
+        ValueError: another argument is out of range.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
+        num_envs: int = 1,
+        *,
+        seed: int = 0,
+        num_threads: int | None = None,
+        overrides: Mapping[str, Any] | None = None,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs}: must be at least 1")
+        if num_threads is not None and num_threads < 1:
+            raise ValueError(f"num_threads = {num_threads}: must be at least 1, or None")
+        self.scenario = load_scenario(scenario, overrides)
+        self.num_envs = num_envs
+        self.num_slots = self.scenario.num_slots
+        self.state = allocate(
+            num_envs=num_envs,
+            num_lanes=self.scenario.road.num_lanes,
+            max_vehicles=self.scenario.max_vehicles,
+            num_slots=self.num_slots,
+            num_features=len(self.scenario.observation.features),
+        )
+        self.parameters = make_parameters(self.scenario)
+        self._actions = np.zeros((num_envs, self.num_slots, 1))
+        self._every_road = np.ones(num_envs, np.bool_)
+        self._arguments = self._gather_arguments()
+        wanted = num_threads or min(os.cpu_count() or 1, num_envs // _ROADS_PER_THREAD)
+        self.num_threads = max(1, min(wanted, num_envs))
+        bounds = np.linspace(0, num_envs, self.num_threads + 1).astype(int).tolist()
+        self._ranges = list(pairwise(bounds))
+        self._pool: ThreadPoolExecutor | None = None
+        self.seed(seed)
+
+    def seed(self, seed: int) -> None:
+        """Start the random numbers again; road e takes stream e of the seed. Resets nothing."""
+        if not 0 <= seed < 2**64:
+            raise ValueError(f"seed = {seed}: must be 0 to 2^64 - 1")
+        self.state.roads["random_key"] = seed
+        self.state.roads["random_stream"] = np.arange(self.num_envs)
+        self.state.roads["random_counter"] = 0
+
+    def reset(self, mask: ArrayLike | None = None) -> None:
+        """Empty the masked roads (all by default) and run their warm-up.
+
+        Args:
+            mask: (E,) bool.
+        """
+        chosen = self._every_road if mask is None else np.asarray(mask, np.bool_)
+        if chosen.shape != (self.num_envs,):
+            raise ValueError(f"mask: shape {chosen.shape}, must be ({self.num_envs},)")
+        self._run(RESET, chosen)
+
+    def step(self, actions: ArrayLike | None = None) -> None:
+        """Advance every road by one time step.
+
+        Args:
+            actions: (E, A, 1) yaw accelerations in the maneuver frame [rad/s^2], clipped to the
+                scenario's bound; what absent and waiting agents are given is not used. None: zeros.
+
+        Raises:
+            ValueError: wrong shape, or an action of a steering agent that is not finite.
+        """
+        if actions is None:
+            self._actions.fill(0.0)
+        else:
+            given = np.asarray(actions, np.float64)
+            if given.shape != self._actions.shape:
+                raise ValueError(f"actions: shape {given.shape}, must be {self._actions.shape}")
+            np.copyto(self._actions, given)
+            if not np.isfinite(given).all():
+                self._refuse_bad_actions()
+        self._run(STEP, self._every_road)
+
+    def advance_until_live(self) -> None:
+        """Advance each road on which no agent is live until one is, or its episode is over."""
+        self._run(SKIP, self._every_road)
+
+    @property
+    def is_live(self) -> NDArray[np.bool_]:
+        """(E, A): slots whose command is unfinished."""
+        return np.asarray(self.state.agents["phase"] != Phase.ABSENT)
+
+    @property
+    def is_engaged(self) -> NDArray[np.bool_]:
+        """(E, A): slots whose agent steers, engaged or aborting."""
+        return np.asarray(self.state.agents["phase"] >= Phase.ENGAGED)
+
+    @property
+    def has_ended(self) -> NDArray[np.bool_]:
+        """(E, A): slots whose command ended in the last step."""
+        return np.asarray(self.state.agents["outcome"] != Outcome.UNFINISHED)
+
+    @property
+    def vehicles(self) -> Records:
+        """(E, V) the table VEHICLE; where ``id`` is -1 the slot is empty."""
+        return self.state.vehicles
+
+    @property
+    def agents(self) -> Records:
+        """(E, A) the table AGENT."""
+        return self.state.agents
+
+    @property
+    def roads(self) -> Records:
+        """(E,) the table ROAD."""
+        return self.state.roads
+
+    def _refuse_bad_actions(self) -> None:
+        bad = self.is_engaged & ~np.isfinite(self._actions[..., 0])
+        if bad.any():
+            env, slot = np.argwhere(bad)[0].tolist()
+            value = self._actions[env, slot, 0]
+            raise ValueError(
+                f"actions[{env}, {slot}] = {value}: must be a finite yaw acceleration in rad/s^2"
+            )
+        self._actions[~np.isfinite(self._actions)] = 0.0
+
+    def _gather_arguments(self) -> tuple[NDArray[Any], ...]:
+        return (self._actions, *self.state.arrays, *self.parameters.arrays)
+
+    def _run(self, mode: int, mask: NDArray[np.bool_]) -> None:
+        if self.num_threads == 1:
+            run(0, self.num_envs, mode, mask, *self._arguments)
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.num_threads - 1, "marl_lanes")
+        (first, *others) = self._ranges
+        pending = [
+            self._pool.submit(run, start, stop, mode, mask, *self._arguments)
+            for start, stop in others
+        ]
+        run(*first, mode, mask, *self._arguments)
+        for future in pending:
+            future.result()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A pool belongs to its process; the arguments must be the arrays of the copied state.
+        return {**self.__dict__, "_pool": None, "_arguments": ()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._arguments = self._gather_arguments()

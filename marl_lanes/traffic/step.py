@@ -1,0 +1,292 @@
+"""The one kernel that advances roads by one time step, and their masked reset.
+
+Every array argument is one road's row of the state, or a parameter of the scenario; the entry point
+``run`` takes the whole arrays and a range of roads, so that threads can share a batch.
+"""
+
+from typing import Any
+
+from marl_lanes.traffic.collisions import (
+    COLLIDES,
+    LEAVES,
+    detect_collisions,
+    remove_vehicles,
+)
+from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.departures import clear_road, depart
+from marl_lanes.traffic.followers import accelerate
+from marl_lanes.traffic.kinematics import integrate, keep_lane, road_turn_rate
+from marl_lanes.traffic.maneuver import (
+    change_phase,
+    clear_agent,
+    clear_ended,
+    end_command,
+    give_commands,
+    has_arrived,
+    is_off_road,
+    is_steering,
+    lateral_deviation,
+)
+from marl_lanes.traffic.neighbors import find_agent_neighbors, sort_by_position
+from marl_lanes.traffic.observation import observe
+from marl_lanes.traffic.reward import reward
+from marl_lanes.traffic.state import NONE, Outcome, Phase
+
+STEP = 0
+SKIP = 1
+RESET = 2
+"""What ``run`` does with a road."""
+
+_ABSENT = int(Phase.ABSENT)
+_ENGAGED = int(Phase.ENGAGED)
+_UNFINISHED = int(Outcome.UNFINISHED)
+_COMPLETED = int(Outcome.COMPLETED)
+_COLLISION = int(Outcome.COLLISION)
+_OFF_ROAD = int(Outcome.OFF_ROAD)
+_MISSED = int(Outcome.MISSED)
+_HORIZON = int(Outcome.HORIZON)
+
+
+@compiled
+def move(
+    road: Any, vehicles: Any, order: Any, agents: Any, actions: Any, arcs: Any, constants: Any
+) -> bool:
+    """Steer and integrate every vehicle; mark those that leave the road.
+
+    Returns:
+        Whether a vehicle has reached its command position.
+    """
+    is_command_due = False
+    bound = constants.max_yaw_acceleration
+    for rank in range(road.num_vehicles):
+        car = vehicles[order[rank]]
+        turn_rate = road_turn_rate(car, arcs)
+        if car.agent != NONE and is_steering(agents[car.agent]):
+            action = min(max(actions[car.agent, 0], -bound), bound)
+            car.yaw_acceleration = agents[car.agent].direction * action
+        else:
+            car.yaw_acceleration = keep_lane(car, turn_rate, constants)
+        integrate(car, turn_rate, arcs, constants)
+        car.changer = NONE
+        if is_off_road(car, constants):
+            car.fate = LEAVES
+            road.num_off_road += 1
+        elif car.position >= constants.road_length:
+            car.fate = LEAVES
+        elif car.position >= car.command_position:
+            is_command_due = True
+    return is_command_due
+
+
+@compiled
+def find_outcome(
+    agent: Any, car: Any, deviation: float, turning: float, road: Any, constants: Any
+) -> int:
+    """How the command ends in this step, if it does."""
+    if car.fate == COLLIDES:
+        return _COLLISION
+    if car.fate == LEAVES and is_off_road(car, constants):
+        return _OFF_ROAD
+    if agent.phase == _ENGAGED and has_arrived(deviation, car, turning, constants):
+        return _COMPLETED
+    if car.fate == LEAVES:
+        return _MISSED
+    if road.step == constants.horizon_steps > 0:
+        return _HORIZON
+    return _UNFINISHED
+
+
+@compiled
+def judge(
+    road: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    observations: Any,
+    arcs: Any,
+    features: Any,
+    constants: Any,
+) -> None:
+    """Reward every agent for the step, and end those whose command is over."""
+    for index in range(agents.shape[0]):
+        agent = agents[index]
+        if agent.phase == _ABSENT:
+            continue
+        car = vehicles[agent.vehicle]
+        deviation = lateral_deviation(agent, car, constants)
+        turning = car.yaw_rate - road_turn_rate(car, arcs)
+        outcome = find_outcome(agent, car, deviation, turning, road, constants)
+        is_failure = outcome in (_COLLISION, _OFF_ROAD)
+        agent.reward_failure = -constants.failure_penalty if is_failure else 0.0
+        if is_steering(agent):
+            agent.engaged_steps += 1
+            reward(agent, car, deviation, turning, constants)
+        else:
+            agent.reward_acceleration = agent.reward_yaw_rate = agent.reward_deviation = 0.0
+            agent.reward = agent.reward_failure
+        if outcome == _UNFINISHED:
+            continue
+        find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
+        observe(agent, vehicles, road, arcs, features, constants, observations[index])
+        if outcome == _COMPLETED:
+            car.lane = agent.target_lane
+        end_command(agent, car, road, outcome)
+
+
+@compiled
+def renew(
+    road: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    observations: Any,
+    arcs: Any,
+    features: Any,
+    constants: Any,
+) -> None:
+    """Neighbors, phase and observation of every live agent; who is the follower of whom.
+
+    One after the other, so that a gap accepted by one is taken for the next.
+    """
+    for index in range(agents.shape[0]):
+        agent = agents[index]
+        if agent.phase == _ABSENT:
+            continue
+        car = vehicles[agent.vehicle]
+        find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
+        change_phase(agent, vehicles, car.yaw_rate - road_turn_rate(car, arcs), constants)
+        observe(agent, vehicles, road, arcs, features, constants, observations[index])
+        follower = agent.target_follower
+        if agent.phase == _ENGAGED and follower != NONE:
+            nearest = vehicles[follower].changer
+            if nearest == NONE or car.position < vehicles[nearest].position:
+                vehicles[follower].changer = agent.vehicle
+
+
+@compiled
+def advance_road(
+    road: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    collisions: Any,
+    observations: Any,
+    actions: Any,
+    constants: Any,
+    profiles: Any,
+    dispositions: Any,
+    arcs: Any,
+    features: Any,
+) -> None:
+    """One road, one time step: drive, steer, move, judge, remove, depart, command, renew."""
+    clear_ended(agents, observations)
+    accelerate(road, lanes, vehicles, order, agents, profiles, constants)
+    is_command_due = move(road, vehicles, order, agents, actions, arcs, constants)
+    road.step += 1
+    sort_by_position(order, road.num_vehicles, vehicles)
+    detect_collisions(road, vehicles, order, agents, collisions, constants)
+    if road.num_live > 0:
+        judge(road, vehicles, order, agents, observations, arcs, features, constants)
+    remove_vehicles(road, vehicles, order)
+    depart(road, lanes, vehicles, order, agents, constants, profiles, dispositions, arcs)
+    if is_command_due:
+        give_commands(road, vehicles, order, agents, constants)
+    if road.num_live > 0:
+        renew(road, vehicles, order, agents, observations, arcs, features, constants)
+    is_last_over = road.num_commands == constants.num_agents > 0 and road.num_live == 0
+    if is_last_over or road.step == constants.horizon_steps > 0:
+        road.is_done = 1
+
+
+@compiled
+def clear(
+    road: Any,
+    lanes: Any,
+    vehicles: Any,
+    agents: Any,
+    collisions: Any,
+    observations: Any,
+    profiles: Any,
+    constants: Any,
+) -> None:
+    """Empty one road and begin its warm-up."""
+    clear_road(road, lanes, vehicles, profiles, constants)
+    for index in range(agents.shape[0]):
+        clear_agent(agents[index])
+        agents[index].command = NONE
+    for newest in range(collisions.shape[0]):
+        collisions[newest].rear_id = collisions[newest].front_id = NONE
+    observations[:] = 0.0
+
+
+@compiled
+def run(
+    start: int,
+    stop: int,
+    mode: int,
+    mask: Any,
+    actions: Any,
+    roads: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    collisions: Any,
+    observations: Any,
+    constants: Any,
+    profiles: Any,
+    dispositions: Any,
+    arcs: Any,
+    features: Any,
+) -> None:
+    """Advance the masked roads among ``start`` to ``stop``; the others keep every byte.
+
+    One entry point, for it is compiled but once.
+
+    Args:
+        start: first road.
+        stop: the road after the last.
+        mode: STEP one time step; SKIP until an agent is live or the episode is over; RESET to an
+            empty road and through its warm-up.
+        mask: (E,) bool.
+        actions: (E, A, 1) float64, yaw acceleration in the maneuver frame [rad/s^2].
+        roads: and what follows, the arrays of State, then those of Parameters.
+    """
+    for env in range(start, stop):
+        if not mask[env]:
+            continue
+        road = roads[env]
+        if mode == RESET:
+            clear(
+                road,
+                lanes[env],
+                vehicles[env],
+                agents[env],
+                collisions[env],
+                observations[env],
+                profiles,
+                constants[0],
+            )
+        is_first = mode == STEP
+        while (
+            is_first
+            or (mode == RESET and road.step < 0)
+            or (mode == SKIP and road.num_live == 0 and not road.is_done)
+        ):
+            is_first = False
+            advance_road(
+                road,
+                lanes[env],
+                vehicles[env],
+                order[env],
+                agents[env],
+                collisions[env],
+                observations[env],
+                actions[env],
+                constants[0],
+                profiles,
+                dispositions,
+                arcs,
+                features,
+            )

@@ -1,0 +1,1 @@
+"""What two learners share: live-transition filter, checkpoint, run folder."""
