@@ -47,7 +47,7 @@ Real = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0)]
 Count = Annotated[int, Field(strict=True)]
-Speed = Annotated[Positive, BeforeValidator(_parse_speed)]
+Speed = Annotated[float, Field(strict=True, gt=0.0, le=70.0), BeforeValidator(_parse_speed)]
 SpeedRange = Annotated[
     tuple[Speed, Speed], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
 ]
@@ -131,7 +131,7 @@ class DriverProfile(Section):
 
     minimum_gap: Positive = Field(5.0, description="s0, gap at standstill [m], > 0")
     time_headway: Positive = Field(1.0, description="T, time gap to the leader [s], > 0")
-    max_acceleration: Positive = Field(2.0, description="a_m [m/s^2], > 0")
+    max_acceleration: Positive = Field(2.0, le=10.0, description="a_m [m/s^2], > 0 to 10")
     comfortable_braking: Positive = Field(1.5, description="b [m/s^2], > 0")
     exponent: Positive = Field(4.0, ge=1.0, description="delta [1], >= 1")
 
@@ -180,11 +180,12 @@ class Departures(Section):
         (5.0, 10.0), description="time between two departures of a lane [s], > 0, uniform"
     )
     initial_speed: SpeedRange = Field(
-        (30.0 / 3.6, 50.0 / 3.6), description="speed at entry [m/s or 'x km/h'], > 0, uniform"
+        (30.0 / 3.6, 50.0 / 3.6),
+        description="speed at entry [m/s or 'x km/h'], > 0 to 70 m/s, uniform",
     )
     desired_speed: SpeedRange = Field(
         (80.0 / 3.6, 120.0 / 3.6),
-        description="v0, a driver's speed on a free road [m/s or 'x km/h'], > 0, uniform",
+        description="v0, a driver's speed on a free road [m/s or 'x km/h'], > 0 to 70 m/s, uniform",
     )
 
 
@@ -237,7 +238,9 @@ class Adversarial(Section):
     desired_speed_factor: Positive = Field(
         1.3, ge=1.0, le=2.0, description="on its desired speed [1], 1 to 2"
     )
-    max_acceleration: Positive = Field(3.0, description="a_m while it closes the gap [m/s^2], > 0")
+    max_acceleration: Positive = Field(
+        3.0, le=10.0, description="a_m while it closes the gap [m/s^2], > 0 to 10"
+    )
     time_headway: Positive = Field(0.5, description="T while it closes the gap [s], > 0")
 
 

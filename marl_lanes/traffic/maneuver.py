@@ -95,6 +95,7 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
         agent.num_aborts = 0
         agent.born_step = road.step
         agent.engaged_steps = 0
+        agent.episode_reward = 0.0
         car.agent = index
         road.num_commands += 1
         road.num_live += 1

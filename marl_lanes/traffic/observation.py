@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,28 +12,48 @@ from marl_lanes.traffic.kinematics import curvature_at
 from marl_lanes.traffic.maneuver import lateral_deviation
 from marl_lanes.traffic.state import NONE
 
-FEATURES: tuple[tuple[str, str, float, float, str], ...] = (
-    ("speed", "m/s", 20.0, 10.0, "along the heading"),
-    ("acceleration", "m/s^2", 0.0, 2.0, "longitudinal, of the last step"),
-    ("lateral_deviation", "m", 0.0, 2.0, "from the vehicle to the reference lane's centre"),
-    ("lateral_speed", "m/s", 0.0, 1.0, "v sin(yaw)"),
-    ("yaw", "rad", 0.0, 0.05, "relative to the road"),
-    ("yaw_rate", "rad/s", 0.0, 0.05, "the road's own turning included"),
-    ("curvature", "1/m", 0.0, 0.002, "of the road; positive bends toward the target lane"),
-    ("leader_gap", "m", 50.0, 50.0, "to the one ahead in the origin lane; sensor_range if none"),
-    ("leader_relative_speed", "m/s", 0.0, 5.0, "its speed minus the own; 0 if none"),
-    ("follower_gap", "m", 50.0, 50.0, "to the one behind in the origin lane; sensor_range if none"),
-    ("follower_relative_speed", "m/s", 0.0, 5.0, "its speed minus the own; 0 if none"),
-    ("target_leader_gap", "m", 50.0, 50.0, "the same in the target lane"),
-    ("target_leader_relative_speed", "m/s", 0.0, 5.0, "the same in the target lane"),
-    ("target_follower_gap", "m", 50.0, 50.0, "the same in the target lane"),
-    ("target_follower_relative_speed", "m/s", 0.0, 5.0, "the same in the target lane"),
-    ("phase", "1", 2.0, 1.0, "1 waiting, 2 engaged, 3 aborting"),
-    ("time", "s", 10.0, 10.0, "since the command"),
-)
-"""Name, unit, offset and scale (typical centre and spread, for networks), meaning."""
 
-_NAMES = tuple(row[0] for row in FEATURES)
+class Feature(NamedTuple):
+    """One row of FEATURES."""
+
+    name: str
+    unit: str
+    offset: float
+    """Typical centre, for networks."""
+    scale: float
+    """Typical spread, for networks."""
+    low: float
+    high: float
+    meaning: str
+
+
+FEATURES = (
+    Feature("speed", "m/s", 20.0, 10.0, 0.0, 150.0, "along the heading"),
+    Feature("acceleration", "m/s^2", 0.0, 2.0, -20.0, 20.0, "longitudinal, of the last step"),
+    Feature("lateral_deviation", "m", 0.0, 2.0, -100.0, 100.0, "to the reference lane's centre"),
+    Feature("lateral_speed", "m/s", 0.0, 1.0, -150.0, 150.0, "v sin(yaw)"),
+    Feature("yaw", "rad", 0.0, 0.05, -math.pi, math.pi, "relative to the road"),
+    Feature("yaw_rate", "rad/s", 0.0, 0.05, -150.0, 150.0, "the road's own turning included"),
+    Feature("curvature", "1/m", 0.0, 0.002, -0.02, 0.02, "positive bends toward the target lane"),
+    Feature("leader_gap", "m", 50.0, 50.0, -20.0, 1e4, "to the one ahead in the origin lane"),
+    Feature("leader_relative_speed", "m/s", 0.0, 5.0, -150.0, 150.0, "its speed minus the own"),
+    Feature("follower_gap", "m", 50.0, 50.0, -20.0, 1e4, "to the one behind in the origin lane"),
+    Feature("follower_relative_speed", "m/s", 0.0, 5.0, -150.0, 150.0, "its speed minus the own"),
+    Feature("target_leader_gap", "m", 50.0, 50.0, -20.0, 1e4, "ahead in the target lane"),
+    Feature(
+        "target_leader_relative_speed", "m/s", 0.0, 5.0, -150.0, 150.0, "its speed minus the own"
+    ),
+    Feature("target_follower_gap", "m", 50.0, 50.0, -20.0, 1e4, "behind in the target lane"),
+    Feature(
+        "target_follower_relative_speed", "m/s", 0.0, 5.0, -150.0, 150.0, "its speed minus the own"
+    ),
+    Feature("phase", "1", 2.0, 1.0, 0.0, 3.0, "1 waiting, 2 engaged, 3 aborting"),
+    Feature("time", "s", 10.0, 10.0, 0.0, 1e6, "since the command"),
+)
+"""Every feature that a scenario may name. Where there is no neighbor its gap is the scenario's
+``sensor_range``, at which gaps are cut off, and its relative speed 0."""
+
+_NAMES = tuple(feature.name for feature in FEATURES)
 _FIRST_NEIGHBOR = _NAMES.index("leader_gap")
 _PHASE = _NAMES.index("phase")
 _TIME = _NAMES.index("time")
@@ -47,7 +67,14 @@ def feature_codes(names: Sequence[str]) -> NDArray[np.int32]:
 def feature_scaling(names: Sequence[str]) -> tuple[list[float], list[float]]:
     """Offsets and scales of the named features, so that (x - offset)/scale is of order one."""
     rows = [FEATURES[code] for code in feature_codes(names)]
-    return [row[2] for row in rows], [row[3] for row in rows]
+    return [row.offset for row in rows], [row.scale for row in rows]
+
+
+def feature_bounds(names: Sequence[str]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lowest and highest values of the named features, two (F,) float32."""
+    rows = [FEATURES[code] for code in feature_codes(names)]
+    low = np.asarray([row.low for row in rows], np.float32)
+    return low, np.asarray([row.high for row in rows], np.float32)
 
 
 @compiled

@@ -90,6 +90,7 @@ AGENT: Table = (
     ("target_leader", "i4", "1", "vehicle slot ahead in the target lane, -1 if none"),
     ("target_follower", "i4", "1", "vehicle slot behind in the target lane, -1 if none"),
     ("reward", "f8", "1", "of the last step: the sum of the four terms"),
+    ("episode_reward", "f8", "1", "sum of the rewards since the command"),
     ("reward_acceleration", "f8", "1", "Eq. 10"),
     ("reward_yaw_rate", "f8", "1", "Eq. 11"),
     ("reward_deviation", "f8", "1", "Eq. 12"),

@@ -124,6 +124,7 @@ def judge(
         else:
             agent.reward_acceleration = agent.reward_yaw_rate = agent.reward_deviation = 0.0
             agent.reward = agent.reward_failure
+        agent.episode_reward += agent.reward
         if outcome == _UNFINISHED:
             continue
         find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
