@@ -1,0 +1,293 @@
+"""The quadratic Q-function of normalized advantage functions."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
+
+from marl_lanes.naf.mu import ActionBox, Head, make_mu
+
+# Bounds of L in M = -L L^T: the logarithm of its diagonal, and an off-diagonal entry's ratio to
+# the diagonal entry of its row. With these the condition number of M stays below what float32
+# resolves (for three actions or fewer), and exp does not overflow.
+LOG_DIAGONAL_BOUND = 3.0
+OFF_DIAGONAL_BOUND = 1.0
+INITIAL_LOG_DIAGONAL = 0.5
+
+
+class NAFNetwork(TensorDictModuleBase):
+    """Q(s, a) = (mu(s) - a)^T M(s) (mu(s) - a) + V(s), with M = -L L^T negative definite.
+
+    L is lower triangular with an exponential diagonal. M acts on actions in units of the box's
+    half-range and is therefore unit-free. Three separate (groups of) tanh networks give mu, L's
+    entries and V, each from the normalised observation.
+
+    `forward` writes
+
+    * the greedy action, mu clipped to the box, (..., action_dim);
+    * the state value, the maximum of Q over the box, (..., 1). It is Q at the clipped mu. Where mu
+      is inside the box, as with all mu offered here, it is V; where a replaced mu leaves the box,
+      Q at the clipped mu is still the maximum for one action (for more, a lower bound of it);
+    * where the input has an action, the state-action value Q(s, a), (..., 1).
+
+    Args:
+        features: names of the observation's columns.
+        action_low: lower bounds of the action, (action_dim,), in action units.
+        action_high: upper bounds of the action, (action_dim,).
+        mu: structure of mu: "paper" (Eq. 6-7), "damped" (with yaw-rate feedback) or "mlp".
+        hidden_sizes: widths of the hidden layers of every network.
+        offsets: observation offsets, one a feature, in its unit; zeros where not given.
+        scales: observation scales, one a feature, positive, in its unit; ones where not given.
+        observation_key: where observations are read, (..., len(features)).
+        action_key: where actions are read, (..., action_dim).
+        greedy_action_key: where the greedy action is written.
+        value_key: where the state value is written.
+        action_value_key: where the state-action value is written.
+
+    Attributes:
+        mu: the structure of mu, with all its parameters and no others.
+        mu_frozen: while true, no gradient reaches mu's parameters (the paper's first stage, which
+            trains M and V only). Unlike `mu.requires_grad_(False)` it leaves the parameters in
+            the view of TorchRL's target updaters, which list them once and for all when built.
+
+    Raises:
+        ValueError: mu's name is unknown, a feature that it needs is missing, it does not fit the
+            number of actions, or lengths, bounds or scales are inconsistent.
+
+    Source: Eq. 5; Gu et al. 2016, "Continuous Deep Q-Learning with Model-based Acceleration".
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> network = NAFNetwork(["speed", "lateral_deviation", "yaw"], [-0.5], [0.5], mu="paper")
+        >>> observation = torch.tensor([[22.0, 3.75, 0.0], [22.0, 0.0, 0.05]])
+        >>> data = TensorDict({"observation": observation, "action": torch.zeros(2, 1)}, [2])
+        >>> data = network(data)
+        >>> data["greedy_action"].sign().flatten().tolist()
+        [1.0, -1.0]
+        >>> bool((data["state_action_value"] <= data["state_value"]).all())
+        True
+    """
+
+    def __init__(
+        self,
+        features: Sequence[str],
+        action_low: Sequence[float] | Tensor,
+        action_high: Sequence[float] | Tensor,
+        *,
+        mu: str = "paper",
+        hidden_sizes: Sequence[int] = (64, 64),
+        offsets: Sequence[float] | Tensor | None = None,
+        scales: Sequence[float] | Tensor | None = None,
+        observation_key: NestedKey = "observation",
+        action_key: NestedKey = "action",
+        greedy_action_key: NestedKey = "greedy_action",
+        value_key: NestedKey = "state_value",
+        action_value_key: NestedKey = "state_action_value",
+    ) -> None:
+        super().__init__()
+        # What it needs: the action is read where present, and value estimators have none.
+        self.in_keys = [observation_key]
+        self.out_keys = [greedy_action_key, value_key, action_value_key]
+        self.observation_key = observation_key
+        self.action_key = action_key
+        self.greedy_action_key = greedy_action_key
+        self.value_key = value_key
+        self.action_value_key = action_value_key
+        self.features = list(features)
+        self.mu_name = mu
+        self.mu_frozen = False
+        self.hidden_sizes = list(hidden_sizes)
+
+        self.box = ActionBox(action_low, action_high)
+        self.normalise = Normaliser(self.features, offsets, scales)
+        self.mu = make_mu(mu, self.features, self.box, self.hidden_sizes)
+        actions = self.action_dim
+        off_diagonal = actions * (actions - 1) // 2
+        logits = [INITIAL_LOG_DIAGONAL] * actions + [0.0] * off_diagonal
+        self.factor_logits = Head(len(self.features), self.hidden_sizes, logits)
+        self.value = Head(len(self.features), self.hidden_sizes, [0.0])
+
+    @property
+    def action_dim(self) -> int:
+        """Number of actions."""
+        return self.box.low.numel()
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments in plain Python types: NAFNetwork(**config) has the same form."""
+        return {
+            "features": list(self.features),
+            "action_low": self.box.low.tolist(),
+            "action_high": self.box.high.tolist(),
+            "mu": self.mu_name,
+            "hidden_sizes": list(self.hidden_sizes),
+            "offsets": self.normalise.offset.tolist(),
+            "scales": self.normalise.scale.tolist(),
+            "observation_key": self.observation_key,
+            "action_key": self.action_key,
+            "greedy_action_key": self.greedy_action_key,
+            "value_key": self.value_key,
+            "action_value_key": self.action_value_key,
+        }
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the greedy action, the state value and, given an action, Q(s, a).
+
+        Args:
+            tensordict: holds observations, (..., len(features)), and perhaps actions.
+
+        Returns:
+            the same tensordict.
+        """
+        observation = tensordict.get(self.observation_key)
+        action = tensordict.get(self.action_key, default=None)
+        normalised = self.normalise(observation)
+        mu = self._mu(observation, normalised)
+        value = self.value(normalised)
+        tensordict.set(self.greedy_action_key, self.box(mu))
+        factor = None
+        if action is not None:
+            factor = self._factor(normalised)
+            q = value + self._advantage(factor, mu, action)
+            tensordict.set(self.action_value_key, q)
+        tensordict.set(self.value_key, value + self._clipping(normalised, mu, factor))
+        return tensordict
+
+    def max_value(self, observation: Tensor) -> Tensor:
+        """max_a Q(s, a) over the box, as `forward` writes it, evaluating what it takes alone.
+
+        Args:
+            observation: (..., len(features)).
+
+        Returns:
+            state values, (..., 1).
+        """
+        normalised = self.normalise(observation)
+        value: Tensor = self.value(normalised)
+        if self._mu_inside_box:
+            return value
+        return value + self._clipping(normalised, self._mu(observation, normalised), None)
+
+    def cholesky(self, observation: Tensor) -> Tensor:
+        """L of M = -L L^T, in units of the box's half-range, (..., action_dim, action_dim)."""
+        return self._factor(self.normalise(observation))
+
+    def policy(
+        self, observation_key: NestedKey | None = None, action_key: NestedKey | None = None
+    ) -> TensorDictModule:
+        """The greedy policy: mu clipped to the box. The networks of M and V are not evaluated.
+
+        Args:
+            observation_key: where observations are read; this network's key where not given.
+            action_key: where the action is written; this network's key where not given.
+
+        Returns:
+            a module which shares mu's parameters with this network.
+        """
+        return TensorDictModule(
+            _Greedy(self.normalise, self.mu, self.box),
+            in_keys=[self.observation_key if observation_key is None else observation_key],
+            out_keys=[self.action_key if action_key is None else action_key],
+        )
+
+    @property
+    def _mu_inside_box(self) -> bool:
+        return getattr(self.mu, "inside_box", False)
+
+    def _mu(self, observation: Tensor, normalised: Tensor) -> Tensor:
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.mu_frozen):
+            mu: Tensor = self.mu(observation, normalised)
+        return mu
+
+    def _factor(self, normalised: Tensor) -> Tensor:
+        actions = self.action_dim
+        logits = self.factor_logits(normalised)
+        bound = LOG_DIAGONAL_BOUND
+        diagonal = torch.exp(bound * torch.tanh(logits[..., :actions] / bound))
+        factor = torch.diag_embed(diagonal)
+        if actions > 1:
+            rows, columns = torch.tril_indices(actions, actions, -1, device=logits.device)
+            bound = OFF_DIAGONAL_BOUND
+            ratios = bound * torch.tanh(logits[..., actions:] / bound)
+            factor[..., rows, columns] = ratios * diagonal[..., rows]
+        return factor
+
+    def _advantage(self, factor: Tensor, mu: Tensor, action: Tensor) -> Tensor:
+        """-|L^T (mu - a) / half_range|^2, (..., 1): never positive, whatever the rounding."""
+        if action.shape != mu.shape:
+            raise ValueError(
+                f"expected actions of shape {tuple(mu.shape)}, got {tuple(action.shape)}"
+            )
+        distance = (mu - action) / self.box.half_range
+        return -(factor.mT @ distance.unsqueeze(-1)).square().sum(-2)
+
+    def _clipping(self, normalised: Tensor, mu: Tensor, factor: Tensor | None) -> Tensor | float:
+        """What Q at the clipped mu loses against V."""
+        if self._mu_inside_box:
+            return 0.0
+        if factor is None:
+            factor = self._factor(normalised)
+        return self._advantage(factor, mu, self.box(mu))
+
+
+class Normaliser(nn.Module):
+    """(observation - offset) / scale, for each feature.
+
+    Args:
+        features: names of the observation's columns.
+        offsets: one a feature, in its unit; zeros where not given.
+        scales: one a feature, positive, in its unit; ones where not given.
+
+    Raises:
+        ValueError: no feature, a name given twice, a wrong length, or a scale that is not positive.
+    """
+
+    offset: Tensor
+    scale: Tensor
+
+    def __init__(
+        self,
+        features: Sequence[str],
+        offsets: Sequence[float] | Tensor | None,
+        scales: Sequence[float] | Tensor | None,
+    ) -> None:
+        super().__init__()
+        if not features or len(set(features)) != len(features):
+            raise ValueError(f"need one or more features of different names, got {features}")
+        size = len(features)
+        offset = torch.zeros(size) if offsets is None else torch.as_tensor(offsets).float()
+        scale = torch.ones(size) if scales is None else torch.as_tensor(scales).float()
+        if offset.shape != (size,) or scale.shape != (size,):
+            raise ValueError(
+                f"need {size} offsets and scales, one a feature, "
+                f"got shapes {tuple(offset.shape)} and {tuple(scale.shape)}"
+            )
+        if not (torch.isfinite(offset) & torch.isfinite(scale) & (scale > 0)).all():
+            raise ValueError(f"need finite offsets and positive scales, got {offsets} and {scales}")
+        self.register_buffer("offset", offset.clone())
+        self.register_buffer("scale", scale.clone())
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """The normalised observation, (..., features)."""
+        if observation.shape[-1] != self.offset.numel():
+            raise ValueError(
+                f"expected {self.offset.numel()} features, got {observation.shape[-1]}"
+            )
+        return (observation - self.offset) / self.scale
+
+
+class _Greedy(nn.Module):
+    def __init__(self, normalise: Normaliser, mu: nn.Module, box: ActionBox) -> None:
+        super().__init__()
+        self.normalise = normalise
+        self.mu = mu
+        self.box = box
+
+    def forward(self, observation: Tensor) -> Tensor:
+        action: Tensor = self.box(self.mu(observation, self.normalise(observation)))
+        return action

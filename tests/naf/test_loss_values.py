@@ -1,0 +1,189 @@
+"""What NAFLoss computes: masks, targets, the training stages, target updates, compiled or not."""
+
+import pytest
+import torch
+from naf.helpers import make_data, make_loss, make_network, unchanged
+from tensordict import TensorDict
+from torch import nn
+from torchrl.objectives import HardUpdate, SoftUpdate, ValueEstimators
+
+from marl_lanes.naf import NAFLoss
+
+
+def make_group_data(roads=3, agents=4):
+    flat = make_data(roads, agents)
+    mask = torch.rand(roads, agents) < 0.5
+    mask[0, :2] = torch.tensor([True, False])
+    group = flat.select("observation", "action").set("mask", mask)
+    following = flat["next"]
+    return TensorDict({"changers": group, "next": {"changers": following}}, [roads])
+
+
+def test_group_keys_and_mask():
+    network = make_network(
+        observation_key=("changers", "observation"),
+        action_key=("changers", "action"),
+        greedy_action_key=("changers", "greedy_action"),
+        value_key=("changers", "state_value"),
+        action_value_key=("changers", "state_action_value"),
+    )
+    loss = make_loss(network)
+    loss.set_keys(
+        value=("changers", "state_value"),
+        state_action_value=("changers", "state_action_value"),
+        reward=("changers", "reward"),
+        done=("changers", "done"),
+        terminated=("changers", "terminated"),
+        priority=("changers", "td_error"),
+    )
+    loss.loss_mask_key = ("changers", "mask")
+    data = make_group_data()
+    with unchanged(data):
+        value = loss(data)["loss"]
+    mask = data["changers", "mask"]
+    error = data["changers", "td_error"]
+    assert error.shape == mask.shape
+    torch.testing.assert_close(value, error[mask].mean())
+
+    # Absent agents have no influence on the gradients, either.
+    gradients = torch.autograd.grad(value, list(loss.parameters()))
+    data["next", "changers", "reward"][~mask] = 1e6
+    value = loss(data)["loss"]
+    torch.testing.assert_close(value, error[mask].mean())
+    for expected, found in zip(
+        gradients, torch.autograd.grad(value, list(loss.parameters())), strict=True
+    ):
+        torch.testing.assert_close(found, expected)
+
+    # A road's weight holds for each of its agents.
+    weights = torch.rand(3)
+    data["priority_weight"] = weights
+    each = weights[:, None].expand_as(mask)[mask]
+    torch.testing.assert_close(loss(data)["loss"], (each * error[mask]).sum() / each.sum())
+
+
+def test_truncation_bootstraps_and_termination_does_not():
+    loss = make_loss().make_value_estimator(gamma=0.9)
+    with torch.no_grad():
+        for params, value in (
+            (loss.value_network_params, 2.0),
+            (loss.target_value_network_params, -3.0),
+        ):
+            params["value"].apply_(lambda p: p.zero_())
+            params["value", "2", "bias"].fill_(value)
+    data = make_data(3)
+    greedy = loss.value_network(data.select("observation"))["greedy_action"].detach()
+    data["action"] = greedy  # Q(s, a) = V(s) = 2
+    data["next", "reward"] = torch.full((3, 1), 0.5)
+    data["next", "terminated"] = torch.tensor([[False], [False], [True]])
+    data["next", "truncated"] = torch.tensor([[False], [True], [False]])
+    data["next", "done"] = torch.tensor([[False], [True], [True]])
+    output = loss(data)
+    bootstrapped = (0.5 + 0.9 * -3.0 - 2.0) ** 2
+    expected = torch.tensor([bootstrapped, bootstrapped, (0.5 - 2.0) ** 2])
+    torch.testing.assert_close(data["td_error"], expected)
+    torch.testing.assert_close(output["loss"], expected.mean())
+
+
+def test_target_is_the_maximum_even_where_mu_leaves_the_box():
+    class Outside(nn.Module):
+        def forward(self, observation, normalised):  # noqa: ARG002
+            return torch.full_like(observation[..., :1], 3.0)
+
+    network = make_network(actions=1)
+    network.mu = Outside()
+    loss = make_loss(network).make_value_estimator(gamma=1.0)
+    data = make_data(4, actions=1)
+    loss(data)
+    grid = torch.linspace(-1, 1, 201).view(-1, 1, 1).expand(-1, 4, 1)
+    following = data["next", "observation"].expand(201, 4, -1)
+    q = network(TensorDict({"observation": following, "action": grid}, [201, 4]))
+    target = data["next", "reward"] + q["state_action_value"].amax(0)
+    own = network(data.select("observation", "action"))["state_action_value"]
+    torch.testing.assert_close(data["td_error"], (own - target).square().squeeze(-1))
+
+
+@pytest.mark.parametrize("mu", ["paper", "damped", "mlp"])
+@pytest.mark.parametrize("how", ["flag", "requires_grad", "optimiser"])
+def test_stage_one_leaves_mu_alone(mu, how):
+    network = make_network(actions=1, mu=mu)
+    loss = NAFLoss(network)
+    updater = SoftUpdate(loss, tau=0.1)
+    trained = loss.parameters()
+    if how == "flag":
+        network.mu_frozen = True
+    elif how == "requires_grad":
+        network.mu.requires_grad_(False)
+    else:
+        trained = [*network.factor_logits.parameters(), *network.value.parameters()]
+    optimiser = torch.optim.AdamW(trained, lr=1e-2)
+
+    def train():
+        for _ in range(5):
+            loss(make_data(actions=1))["loss"].backward()
+            optimiser.step()
+            optimiser.zero_grad()
+            updater.step()
+
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    train()
+    moved = {n for n, value in network.state_dict().items() if not torch.equal(value, before[n])}
+    assert moved == {n for n in before if n.startswith(("factor_logits", "value"))}
+
+    if how == "flag":  # stage two moves all of them, the target's as well
+        network.mu_frozen = False
+        target = loss.target_value_network_params["mu"].clone()
+        train()
+        for name, parameter in network.mu.named_parameters():
+            assert not torch.equal(parameter, before[f"mu.{name}"])
+            key = tuple(name.split("."))
+            assert not torch.equal(target[key], loss.target_value_network_params["mu"][key])
+
+
+def test_updaters():
+    loss = NAFLoss(make_network())
+    hard = HardUpdate(loss, value_network_update_interval=2)
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter += 1
+    hard.step()
+    key = ("value", "0", "bias")
+    online, target = loss.value_network_params, loss.target_value_network_params
+    assert not torch.equal(online[key], target[key])
+    hard.step()
+    hard.step()  # TorchRL copies once the interval has passed, not when it ends
+    assert all(torch.equal(online[k], target[k]) for k in online.keys(True, True))
+    soft = SoftUpdate(loss, tau=0.25)
+    before = target[key].clone()
+    with torch.no_grad():
+        online[key].add_(1)
+    soft.step()
+    torch.testing.assert_close(target[key], before + 0.25)
+    with pytest.raises(RuntimeError, match="target parameters"):
+        SoftUpdate(NAFLoss(make_network(), delay_value=False), tau=0.1)
+
+
+# tensordict asks for an option that torch has retired.
+@pytest.mark.filterwarnings("ignore:torch._dynamo.config.inline_inbuilt_nn_modules:FutureWarning")
+@pytest.mark.parametrize("estimator", [ValueEstimators.TD0, ValueEstimators.TDLambda])
+def test_compile(estimator):
+    torch.compiler.reset()
+    loss = make_loss().make_value_estimator(estimator)
+    data = make_data(4, 5)
+    expected = loss(data.clone())["loss"]
+    compiled = torch.compile(loss, backend="eager", fullgraph=True)
+    value = compiled(data)["loss"]
+    torch.testing.assert_close(value, expected)
+    value.backward()
+    assert all(p.grad.norm() > 0 for p in loss.parameters())
+
+
+def test_observations_get_no_gradient():
+    loss = make_loss()
+    data = make_data()
+    data["observation"].requires_grad_()
+    data["next", "observation"].requires_grad_()
+    loss(data)["loss"].backward()
+    assert data["observation"].grad is None
+    assert data["next", "observation"].grad is None
+    assert not data["td_error"].requires_grad
