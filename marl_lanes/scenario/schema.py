@@ -192,7 +192,7 @@ class Departures(Section):
 class LaneKeeping(Section):
     """Steering of every vehicle that no agent steers: three equal poles on the lane's centre."""
 
-    pole: Positive = Field(1.5, le=4.0, description="closed-loop pole [rad/s], > 0 to 4")
+    pole: Positive = Field(2.0, le=4.0, description="closed-loop pole [rad/s], > 0 to 4")
     max_yaw_acceleration: Positive = Field(
         0.5, le=5.0, description="bound of the steering [rad/s^2], > 0 to 5"
     )

@@ -1,11 +1,24 @@
 """One way of compiling for every kernel."""
 
+import hashlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _hash_sources() -> str:
+    """A digest of every source file of the simulation."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+_SOURCES = _hash_sources()
 
 
 def compiled(function: Function) -> Function:
@@ -14,4 +27,10 @@ def compiled(function: Function) -> Function:
     Division by zero gives inf and nan as in numpy. Without the GIL several threads advance
     disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was vectorised.
     """
-    return cast("Function", numba.njit(function, cache=True, nogil=True, error_model="numpy"))
+    dispatcher = numba.njit(function, cache=True, nogil=True, error_model="numpy")
+    if dispatcher is not function:
+        # Numba stamps a cached kernel with its own file alone, yet it holds the code of the
+        # kernels that it calls: without this an edit of one file would leave the others stale.
+        cache_file = dispatcher._cache._cache_file
+        cache_file._source_stamp = (cache_file._source_stamp, _SOURCES)
+    return cast("Function", dispatcher)

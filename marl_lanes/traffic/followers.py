@@ -16,6 +16,8 @@ from marl_lanes.traffic.state import NONE, Disposition, Phase
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
 _ADVERSARIAL = int(Disposition.ADVERSARIAL)
+_ABSENT = int(Phase.ABSENT)
+_WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
 
 
@@ -44,6 +46,16 @@ def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: A
 
 
 @compiled
+def _is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
+    """Whether the target lane's follower, not itself commanded, overlaps the car lengthwise."""
+    if follower == NONE:
+        return False
+    other = vehicles[follower]
+    # Two that wait for each other's lane would both brake.
+    return bool(other.agent == NONE and bumper_gap(other, car, constants) < 0.0)
+
+
+@compiled
 def _drive_among(
     car: Any, profile: Any, lanes: Any, vehicles: Any, agents: Any, constants: Any
 ) -> float:
@@ -68,17 +80,26 @@ def _drive_among(
                 car, vehicles[front], headway, scale, profile.minimum_gap, constants
             )
             interaction = max(interaction, term)
-    if car.agent != NONE and agents[car.agent].phase == _ENGAGED:
+    ahead = 0.0
+    phase = _ABSENT if car.agent == NONE else agents[car.agent].phase
+    if phase == _WAITING or phase == _ENGAGED:
         target = lanes[agents[car.agent].target_lane]
         for front in (target.nearest, target.nearest_engaged):
             if front != NONE:
                 term = _interaction(
                     car, vehicles[front], headway, scale, profile.minimum_gap, constants
                 )
-                interaction = max(interaction, term)
+                ahead = max(ahead, term)
+    if phase == _ENGAGED:
+        interaction = max(interaction, ahead)
     free_road = free_road_term(car.speed, desired_speed, profile.exponent)
     acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
 
+    if phase == _WAITING:
+        aligning = idm_acceleration(limit, free_road, ahead, constants.is_sum_form)
+        if _is_beside(car, agents[car.agent].target_follower, vehicles, constants):
+            aligning = -profile.comfortable_braking
+        acceleration = min(acceleration, max(aligning, -profile.comfortable_braking))
     if has_changer and car.disposition == _COOPERATIVE:
         headway = constants.cooperative_time_headway
         term = _interaction(
@@ -107,8 +128,7 @@ def accelerate(
         slot = order[rank]
         car = vehicles[slot]
         profile = profiles[car.profile]
-        is_changing = car.agent != NONE and agents[car.agent].phase == _ENGAGED
-        if car.lane_low == car.lane_high and car.changer == NONE and not is_changing:
+        if car.lane_low == car.lane_high and car.changer == NONE and car.agent == NONE:
             front = lanes[car.lane_low].nearest
             acceleration = _drive_alone(car, profile, front, vehicles, constants)
         else:
@@ -116,5 +136,5 @@ def accelerate(
         car.acceleration = max(acceleration, -constants.max_braking)
         for lane in range(car.lane_low, car.lane_high + 1):
             lanes[lane].nearest = slot
-        if is_changing:
+        if car.agent != NONE and agents[car.agent].phase == _ENGAGED:
             lanes[agents[car.agent].target_lane].nearest_engaged = slot

@@ -1,0 +1,254 @@
+"""Maneuvers of a policy on seeded traffic, recorded step by step."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import ceil
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.traffic.state import NONE, CollisionKind, Outcome, Phase
+
+Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
+"""Observations of N steering agents, (N, F), to their actions, (N, 1)."""
+
+RESIDUAL_TIME = 10.0
+"""[s] How long a vehicle is watched after it has completed."""
+
+TRACE = np.dtype(
+    [
+        ("env", "i8"),
+        ("command", "i8"),
+        ("step", "i8"),  # of the road, after the step
+        ("phase", "i4"),  # in which the agent acted
+        # Before the step, in the maneuver frame.
+        ("deviation_before", "f8"),
+        ("yaw_before", "f8"),
+        ("yaw_rate_before", "f8"),
+        ("curvature", "f8"),
+        # After the step, in the maneuver frame; nan where the vehicle has left the road.
+        ("speed", "f8"),
+        ("lateral_deviation", "f8"),
+        ("yaw", "f8"),
+        ("yaw_rate", "f8"),
+        ("yaw_acceleration", "f8"),
+        ("road_turn_rate", "f8"),
+        ("is_over_marking", "?"),
+        # Of the target lane's neighbors after the step; inf and nan where there is none.
+        ("leader_gap", "f8"),
+        ("leader_speed", "f8"),
+        ("follower_gap", "f8"),
+        ("follower_speed", "f8"),
+        ("follower_acceleration", "f8"),
+        ("reward_acceleration", "f8"),
+        ("reward_yaw_rate", "f8"),
+        ("reward_deviation", "f8"),
+    ]
+)
+"""One row for every step in which an agent steered."""
+
+
+@dataclass
+class Maneuver:
+    """One command, from its birth to its outcome."""
+
+    env: int
+    command: int
+    outcome: Outcome
+    num_aborts: int
+    waiting_time: float
+    """From the command until it first engaged, or until it ended [s]."""
+    time_to_end: float
+    """From the command to the outcome [s]."""
+    has_side_collision: bool
+    """It ended in a collision that came across the road while it steered."""
+    trace: NDArray[np.void]
+    """(N,) TRACE, in the order of time; empty where it never engaged."""
+    residual_deviation: list[float] = field(default_factory=list)
+    """After completion: deviation from the target lane's centre, positive beyond it [m]."""
+
+
+class _Recorder:
+    """Collects traces and outcomes of E roads while they are stepped."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator = simulator
+        self.rows: list[NDArray[np.void]] = []
+        self.maneuvers: dict[tuple[int, int], Maneuver] = {}
+        self.watched: list[tuple[Maneuver, int, int, int, int]] = []
+
+    def before(self) -> None:
+        """Note who steers, and the state in which it acts."""
+        simulator = self.simulator
+        envs, slots = np.nonzero(simulator.is_engaged)
+        agents = simulator.agents[envs, slots]
+        cars = simulator.vehicles[envs, agents["vehicle"]]
+        rows = np.zeros(envs.size, TRACE)
+        rows["env"], rows["command"], rows["phase"] = envs, agents["command"], agents["phase"]
+        direction = agents["direction"]
+        rows["deviation_before"] = self._deviation(agents, cars, agents["phase"])
+        rows["yaw_before"] = direction * cars["yaw"]
+        rows["yaw_rate_before"] = direction * cars["yaw_rate"]
+        rows["curvature"] = direction * self._curvature(cars["position"])
+        rows["road_turn_rate"] = rows["curvature"] * cars["speed"]
+        self._pending = rows, envs, slots, cars["id"].copy()
+
+    def after(self) -> None:
+        """Complete the rows, and note the commands that ended."""
+        rows, envs, slots, ids = self._pending
+        simulator = self.simulator
+        agents = simulator.agents[envs, slots]
+        cars = simulator.vehicles[envs, agents["vehicle"]]
+        direction = agents["direction"]
+        rows["step"] = simulator.roads["step"][envs]
+        rows["speed"] = cars["speed"]
+        rows["lateral_deviation"] = self._deviation(agents, cars, rows["phase"])
+        for name in ("yaw", "yaw_rate", "yaw_acceleration"):
+            rows[name] = direction * cars[name]
+        target = agents["target_lane"]
+        rows["is_over_marking"] = (cars["lane_low"] <= target) & (target <= cars["lane_high"])
+        for side, sign in (("leader", 1.0), ("follower", -1.0)):
+            slot = agents[f"target_{side}"]
+            others = simulator.vehicles[envs, slot]
+            length = simulator.scenario.vehicle.length
+            gap = sign * (others["position"] - cars["position"]) - length
+            rows[f"{side}_gap"] = np.where(slot == NONE, np.inf, gap)
+            rows[f"{side}_speed"] = np.where(slot == NONE, np.nan, others["speed"])
+            if side == "follower":
+                acceleration = np.where(slot == NONE, np.nan, others["acceleration"])
+                rows["follower_acceleration"] = acceleration
+        for name in ("reward_acceleration", "reward_yaw_rate", "reward_deviation"):
+            rows[name] = agents[name]
+        gone = cars["id"] != ids
+        for name in TRACE.names[8:-3] if TRACE.names else ():
+            if TRACE[name].kind == "f":
+                rows[name][gone] = np.nan
+        self.rows.append(rows)
+        self._note_residuals()
+        self._note_outcomes()
+
+    def _note_outcomes(self) -> None:
+        simulator = self.simulator
+        step = simulator.scenario.time_step
+        for env, slot in np.argwhere(simulator.has_ended).tolist():
+            agent = simulator.agents[env, slot]
+            outcome = Outcome(int(agent["outcome"]))
+            lifetime = float(simulator.roads["step"][env] - agent["born_step"])
+            maneuver = Maneuver(
+                env=env,
+                command=int(agent["command"]),
+                outcome=outcome,
+                num_aborts=int(agent["num_aborts"]),
+                waiting_time=lifetime * step,
+                time_to_end=lifetime * step,
+                has_side_collision=self._has_side_collision(env, int(agent["command"])),
+                trace=np.zeros(0, TRACE),
+            )
+            self.maneuvers[env, maneuver.command] = maneuver
+            if outcome == Outcome.COMPLETED:
+                car = simulator.vehicles[env, agent["vehicle"]]
+                last = int(simulator.roads["step"][env]) + round(RESIDUAL_TIME / step)
+                direction = int(agent["direction"])
+                self.watched.append(
+                    (maneuver, int(agent["vehicle"]), int(car["id"]), direction, last)
+                )
+
+    def _has_side_collision(self, env: int, command: int) -> bool:
+        records = self.simulator.state.collisions[env]
+        is_own = (records["rear_command"] == command) | (records["front_command"] == command)
+        is_new = (records["rear_id"] != NONE) & (
+            records["step"] == self.simulator.roads["step"][env]
+        )
+        return bool((is_own & is_new & (records["kind"] == CollisionKind.SIDE)).any())
+
+    def _note_residuals(self) -> None:
+        simulator = self.simulator
+        width = simulator.scenario.road.lane_width
+        still = []
+        for entry in self.watched:
+            maneuver, vehicle, identity, direction, last = entry
+            car = simulator.vehicles[maneuver.env, vehicle]
+            if car["id"] != identity or simulator.roads["step"][maneuver.env] > last:
+                continue
+            beyond = car["lateral_position"] - (car["lane"] + 0.5) * width
+            maneuver.residual_deviation.append(float(direction * beyond))
+            still.append(entry)
+        self.watched = still
+
+    def _deviation(self, agents: Any, cars: Any, phase: Any) -> NDArray[np.float64]:
+        lane = np.where(phase == Phase.ABORTING, agents["origin_lane"], agents["target_lane"])
+        centre = (lane + 0.5) * self.simulator.scenario.road.lane_width
+        return np.asarray(agents["direction"] * (centre - cars["lateral_position"]))
+
+    def _curvature(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        curvature = np.zeros_like(position)
+        for arc in self.simulator.scenario.road.arcs:
+            curvature[(arc.start <= position) & (position < arc.end)] = 1.0 / arc.radius
+        return curvature
+
+    def finish(self) -> list[Maneuver]:
+        """The maneuvers in the order of road and command, with their traces."""
+        rows = np.concatenate(self.rows) if self.rows else np.zeros(0, TRACE)
+        rows = rows[np.lexsort((rows["step"], rows["command"], rows["env"]))]
+        keys, starts = np.unique(rows[["env", "command"]], return_index=True)
+        bounds = [*starts.tolist(), rows.size]
+        step = self.simulator.scenario.time_step
+        for index, key in enumerate(keys):
+            maneuver = self.maneuvers.get((int(key["env"]), int(key["command"])))
+            if maneuver is not None:
+                maneuver.trace = rows[bounds[index] : bounds[index + 1]]
+                span = maneuver.trace["step"][-1] - maneuver.trace["step"][0] + 1
+                maneuver.waiting_time = max(0.0, maneuver.time_to_end - float(span) * step)
+        return [self.maneuvers[key] for key in sorted(self.maneuvers)]
+
+
+def run_maneuvers(
+    scenario: str | Scenario,
+    policy: Policy,
+    num_maneuvers: int,
+    *,
+    seed: int = 0,
+    progress: Callable[[int], object] | None = None,
+) -> list[Maneuver]:
+    """The first ``num_maneuvers`` commands of seeded episodes, in the order of road and command.
+
+    Every road runs one whole episode of the scenario, so that quick maneuvers are not counted more
+    often than slow ones; commands beyond the number wanted are dropped from the last road.
+
+    Args:
+        scenario: with ``num_agents`` set.
+        policy: of every steering agent.
+        num_maneuvers: >= 1.
+        seed: of the traffic.
+        progress: called after every step with the number of commands finished so far.
+
+    Raises:
+        ScenarioError: its episodes have no end, or no commands.
+        ValueError: ``num_maneuvers`` is below 1.
+    """
+    if num_maneuvers < 1:
+        raise ValueError(f"num_maneuvers = {num_maneuvers}: must be at least 1")
+    loaded = load_scenario(scenario)
+    if loaded.num_agents is None or loaded.command.probability == 0.0:
+        raise ScenarioError(
+            f"scenario {loaded.name!r}: an evaluation needs num_agents (is {loaded.num_agents}) "
+            f"and command.probability > 0 (is {loaded.command.probability})"
+        )
+    simulator = Simulator(loaded, ceil(num_maneuvers / loaded.num_agents), seed=seed)
+    simulator.reset()
+    recorder = _Recorder(simulator)
+    actions = np.zeros((simulator.num_envs, simulator.num_slots, 1))
+    while not simulator.roads["is_done"].all() or recorder.watched:
+        engaged = simulator.is_engaged
+        actions.fill(0.0)
+        if engaged.any():
+            actions[engaged] = policy(simulator.state.observations[engaged])
+        recorder.before()
+        simulator.step(actions)
+        recorder.after()
+        if progress is not None:
+            progress(len(recorder.maneuvers))
+    return recorder.finish()[:num_maneuvers]
