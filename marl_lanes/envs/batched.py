@@ -73,7 +73,20 @@ class LaneChangeEnv(EnvBase):
         self.group_map = {
             GROUP: [f"changer_{slot}" for slot in range(self.simulator.num_slots)],
         }
+        self._is_restored = False
         self._make_specs()
+
+    def restore(self, snapshot: bytes) -> None:
+        """Go on from ``simulator.snapshot()`` of an equal environment.
+
+        The resets with which a collector or rollout begins then return the restored state; from the
+        first step on, resets are resets again.
+
+        Raises:
+            ValueError: the snapshot is of another size; nothing is changed.
+        """
+        self.simulator.restore(snapshot)
+        self._is_restored = True
 
     def _make_specs(self) -> None:
         num_envs, num_slots = self.simulator.num_envs, self.simulator.num_slots
@@ -120,10 +133,12 @@ class LaneChangeEnv(EnvBase):
         mask = None
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118
             mask = tensordict["_reset"].reshape(self.simulator.num_envs).cpu().numpy()
-        self.simulator.reset(mask)
+        if mask is not None or not self._is_restored:
+            self.simulator.reset(mask)
         return self._make_tensordict(self._observe())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        self._is_restored = False
         actions = tensordict[GROUP, "action"].detach().cpu().numpy()
         self.simulator.step(actions)
         group = self._observe()

@@ -49,13 +49,17 @@ class ManeuverMetrics:
     is_s_critical_violated: float
 
 
-def measure(maneuver: Maneuver, scenario: Scenario, *, with_optimum: bool = True) -> ManeuverMetrics:
+def measure(
+    maneuver: Maneuver, scenario: Scenario, *, with_optimum: bool = True
+) -> ManeuverMetrics:
     """Every metric of one maneuver."""
     trace = maneuver.trace
     step = scenario.time_step
     turning = trace["yaw_rate"] - trace["road_turn_rate"]
     lateral_acceleration = trace["speed"] * turning
-    returns = [float(trace[f"reward_{name}"].sum()) for name in ("acceleration", "yaw_rate", "deviation")]
+    returns = [
+        float(trace[f"reward_{name}"].sum()) for name in ("acceleration", "yaw_rate", "deviation")
+    ]
     is_completed = maneuver.outcome == Outcome.COMPLETED
     optimal = nan
     if is_completed and with_optimum:

@@ -82,7 +82,7 @@ def _drive_among(
             interaction = max(interaction, term)
     ahead = 0.0
     phase = _ABSENT if car.agent == NONE else agents[car.agent].phase
-    if phase == _WAITING or phase == _ENGAGED:
+    if phase in (_WAITING, _ENGAGED):
         target = lanes[agents[car.agent].target_lane]
         for front in (target.nearest, target.nearest_engaged):
             if front != NONE:

@@ -172,7 +172,10 @@ def check(config: TrainingConfig) -> None:
     _require(0.0 <= loss.gamma <= 1.0, "loss.gamma", loss.gamma, "between 0 and 1")
     _require(0.0 < loss.tau <= 1.0, "loss.tau", loss.tau, "above 0 and at most 1")
     _require(
-        loss.target_update in {"soft", "hard"}, "loss.target_update", loss.target_update, "soft, hard"
+        loss.target_update in {"soft", "hard"},
+        "loss.target_update",
+        loss.target_update,
+        "soft, hard",
     )
     _require(
         0.0 <= exploration.final_sigma <= exploration.initial_sigma,

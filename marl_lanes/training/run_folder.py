@@ -1,0 +1,112 @@
+"""The folder of a training run: config, tables, checkpoints, figures."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from torch.utils.tensorboard import SummaryWriter
+
+from marl_lanes.training.config import ConfigError
+from marl_lanes.training.files import write_atomically
+
+Value = float | int | str
+
+
+class Table:
+    """A CSV file that grows row by row; its first column is the number of transitions."""
+
+    def __init__(self, path: Path, columns: Sequence[str], *, until: int | None = None) -> None:
+        """Begin the table anew, or go on with its rows of at most ``until`` transitions."""
+        self.columns = tuple(columns)
+        kept: list[list[str]] = []
+        if until is not None:
+            with path.open(newline="", encoding="utf-8") as file:
+                kept = [row for row in list(csv.reader(file))[1:] if int(row[0]) <= until]
+
+        def write(temporary: Path) -> None:
+            with temporary.open("w", newline="", encoding="utf-8") as file:
+                csv.writer(file).writerows([self.columns, *kept])
+
+        write_atomically(path, write)
+        self._file = path.open("a", newline="", encoding="utf-8")
+        self._writer = csv.writer(self._file)
+
+    def append(self, *rows: Sequence[Value]) -> None:
+        """Add rows, values in the order of the columns."""
+        self._writer.writerows(rows)
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class RunFolder:
+    """Paths and logs of one run.
+
+    Args:
+        path: the folder; made when missing.
+        until: None for a new run, which needs an empty folder; for one that is resumed, the
+            transitions of its checkpoint, beyond which the logs are cut off.
+
+    Raises:
+        ConfigError: a new run's folder already holds a run.
+    """
+
+    def __init__(self, path: Path, *, until: int | None = None) -> None:
+        self.path = path
+        if until is None and self.config.exists():
+            raise ConfigError(
+                f"output = {str(path)!r}: holds a run already; choose another folder, or continue "
+                f"it with resume={path}"
+            )
+        self.checkpoints.mkdir(parents=True, exist_ok=True)
+        self.metrics = Table(
+            path / "metrics.csv",
+            ("transitions", "updates", "stage", "loss", "sigma", "num_ended", "mean_return"),
+            until=until,
+        )
+        self.maneuvers = Table(
+            path / "maneuvers.csv", ("transitions", "return", "outcome"), until=until
+        )
+        self.evaluations = Table(
+            path / "evaluations.csv",
+            ("transitions", "checkpoint", "mean_return", "completion_rate", "mean_num_steps"),
+            until=until,
+        )
+        self._board = SummaryWriter(
+            str(path / "tensorboard"), purge_step=None if until is None else until + 1
+        )
+
+    @property
+    def config(self) -> Path:
+        """The run's configuration."""
+        return self.path / "config.yaml"
+
+    @property
+    def checkpoints(self) -> Path:
+        """The saved models."""
+        return self.path / "checkpoints"
+
+    @property
+    def state(self) -> Path:
+        """What resuming needs."""
+        return self.path / "resume.pt"
+
+    @property
+    def figures(self) -> Path:
+        """The pictures."""
+        return self.path / "figures"
+
+    def log(self, group: str, values: Mapping[str, Any], transitions: int) -> None:
+        """Send numbers to TensorBoard."""
+        for name, value in values.items():
+            if isinstance(value, int | float):
+                self._board.add_scalar(f"{group}/{name}", value, transitions)
+
+    def close(self) -> None:
+        """Close the logs."""
+        for table in (self.metrics, self.maneuvers, self.evaluations):
+            table.close()
+        self._board.close()
