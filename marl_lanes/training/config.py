@@ -128,7 +128,7 @@ def register() -> None:
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be; the message names the field, the value and what is allowed."""
+    """A configuration that cannot be; the message names field, value and what is allowed."""
 
 
 def check(config: TrainingConfig) -> None:
