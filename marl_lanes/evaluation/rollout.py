@@ -124,8 +124,7 @@ class _Recorder:
             rows[name] = agents[name]
         gone = cars["id"] != ids
         for name in TRACE.names[8:-3] if TRACE.names else ():
-            if TRACE[name].kind == "f":
-                rows[name][gone] = np.nan
+            rows[name][gone] = np.nan if TRACE[name].kind == "f" else False
         self.rows.append(rows)
         self._note_residuals()
         self._note_outcomes()

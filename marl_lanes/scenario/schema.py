@@ -46,6 +46,7 @@ def _is_ascending(pair: tuple[float, float]) -> tuple[float, float]:
 Real = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0)]
+Share = Annotated[float, Field(strict=True, ge=0.0, le=1e6)]
 Count = Annotated[int, Field(strict=True)]
 Speed = Annotated[float, Field(strict=True, gt=0.0, le=70.0), BeforeValidator(_parse_speed)]
 SpeedRange = Annotated[
@@ -160,9 +161,9 @@ class Drivers(Section):
         max_length=16,
         description="IDM parameter sets by name [map], 1 to 16",
     )
-    mix: Annotated[dict[str, NonNegative], AfterValidator(_has_weight)] = Field(
+    mix: Annotated[dict[str, Share], AfterValidator(_has_weight)] = Field(
         default={"normal": 1.0},
-        description="share of each profile [1], >= 0, names from profiles, not all 0",
+        description="share of each profile [1], 0 to 1e6, names from profiles, not all 0",
     )
 
     @model_validator(mode="after")
@@ -192,9 +193,11 @@ class Departures(Section):
 class LaneKeeping(Section):
     """Steering of every vehicle that no agent steers: three equal poles on the lane's centre."""
 
-    pole: Positive = Field(2.0, le=4.0, description="closed-loop pole [rad/s], > 0 to 4")
+    pole: Positive = Field(
+        2.0, le=3.0, description="closed-loop pole [rad/s], > 0 to 3, <= 0.5/time_step"
+    )
     max_yaw_acceleration: Positive = Field(
-        0.5, le=5.0, description="bound of the steering [rad/s^2], > 0 to 5"
+        0.5, le=5.0, description="bound of the steering [rad/s^2], 0.14 pole to 5"
     )
 
 
@@ -250,10 +253,10 @@ Disposition = Literal["cooperative", "neutral", "adversarial"]
 class Followers(Section):
     """What the vehicle behind an engaged changer in its target lane does."""
 
-    mix: Annotated[dict[Disposition, NonNegative], AfterValidator(_has_weight)] = Field(
+    mix: Annotated[dict[Disposition, Share], AfterValidator(_has_weight)] = Field(
         default={"neutral": 1.0},
-        description="share of each disposition [1]: cooperative, neutral, adversarial; >= 0, "
-        "not all 0",
+        description="share of each disposition [1]: cooperative, neutral, adversarial; 0 to "
+        "1e6, not all 0",
     )
     cooperative: Cooperative = Field(
         default=Cooperative(), description="parameters of the cooperative ones [section]"
@@ -319,7 +322,9 @@ class Observation(Section):
         PAPER_FEATURES, min_length=1, description="feature names in order [list], no name twice"
     )
     sensor_range: Positive = Field(
-        200.0, description="gaps are cut off here; no vehicle looks like this gap [m], > 0"
+        200.0,
+        le=10_000.0,
+        description="gaps are cut off here; no vehicle looks like this gap [m], > 0 to 10,000",
     )
 
     @model_validator(mode="after")
@@ -355,7 +360,9 @@ class Scenario(Section):
         description="commands an episode [count], 1 to 100,000, null for no end",
     )
     horizon: Positive | None = Field(
-        1800.0, description="longest episode after the warm-up [s], > 0, null for no end"
+        1800.0,
+        le=1e6,
+        description="longest episode after the warm-up [s], time_step to 1e6, null for no end",
     )
     num_slots: Count = Field(
         8, ge=1, le=64, description="agents live at once at most [count], 1 to 64"
@@ -364,7 +371,7 @@ class Scenario(Section):
         64, ge=4, le=4096, description="vehicles on the road at most [count], 4 to 4,096"
     )
     warmup: NonNegativeRange = Field(
-        (60.0, 90.0), description="age of the traffic at a reset [s], >= 0, uniform"
+        (60.0, 90.0), description="age of the traffic at a reset [s], 0 to 3600, uniform"
     )
     road: Road = Field(default=Road(), description="geometry [section]")
     vehicle: Vehicle = Field(default=Vehicle(), description="body and limits [section]")
@@ -412,6 +419,27 @@ class Scenario(Section):
                 f"command.probability = {self.command.probability} must be 0: a road of "
                 f"road.num_lanes = {self.road.num_lanes} with command.lanes = {self.command.lanes} "
                 "has no middle lane to command"
+            )
+        if len(set(self.command_lanes)) < len(self.command_lanes):
+            raise ValueError(
+                f"command.lanes = {list(self.command_lanes)} must not name a lane twice"
+            )
+        if self.warmup[1] > 3600.0:
+            raise ValueError(f"warmup = {list(self.warmup)} must be at most 3600 s")
+        if self.horizon is not None and self.horizon < self.time_step:
+            raise ValueError(
+                f"horizon = {self.horizon} must be at least time_step = {self.time_step}"
+            )
+        if self.lane_keeping.pole * self.time_step > 0.5:
+            raise ValueError(
+                f"lane_keeping.pole = {self.lane_keeping.pole} must be at most 0.5/time_step = "
+                f"{0.5 / self.time_step:.4g}: beyond that lane keeping is unstable"
+            )
+        if self.lane_keeping.max_yaw_acceleration < 0.14 * self.lane_keeping.pole:
+            raise ValueError(
+                f"lane_keeping.max_yaw_acceleration = {self.lane_keeping.max_yaw_acceleration} "
+                f"must be at least 0.14 pole = {0.14 * self.lane_keeping.pole:.4g}: below that "
+                "it saturates and swings up"
             )
         if self.completion.max_deviation >= self.road.lane_width / 2.0:
             raise ValueError(

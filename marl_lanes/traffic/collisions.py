@@ -3,20 +3,21 @@
 import math
 from typing import Any
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import compiled, internal
 from marl_lanes.traffic.kinematics import half_extent
 from marl_lanes.traffic.state import NONE, CollisionKind
 
 STAYS = 0
 LEAVES = 1
 COLLIDES = 2
+STRAYS = 3
 """What a step does with a vehicle: the values of ``vehicles.fate``."""
 
 _REAR_END = int(CollisionKind.REAR_END)
 _SIDE = int(CollisionKind.SIDE)
 
 
-@compiled
+@internal
 def _is_separated(ahead: float, across: float, yaw: float, other: float, constants: Any) -> bool:
     """Whether an axis of the rectangle at ``yaw`` separates it from the one at ``other``."""
     length, width = 0.5 * constants.vehicle_length, 0.5 * constants.vehicle_width
@@ -44,7 +45,7 @@ def is_overlapping(rear: Any, front: Any, constants: Any) -> bool:
     )
 
 
-@compiled
+@internal
 def _record(road: Any, rear: Any, front: Any, agents: Any, record: Any, constants: Any) -> None:
     closing = rear.speed - front.speed
     gap_before = front.position - rear.position + closing * constants.time_step
@@ -59,7 +60,7 @@ def _record(road: Any, rear: Any, front: Any, agents: Any, record: Any, constant
     record.closing_speed = closing
 
 
-@compiled
+@internal
 def detect_collisions(
     road: Any, vehicles: Any, order: Any, agents: Any, collisions: Any, constants: Any
 ) -> None:
@@ -80,7 +81,7 @@ def detect_collisions(
                 front.fate = COLLIDES
 
 
-@compiled
+@internal
 def remove_vehicles(road: Any, vehicles: Any, order: Any) -> None:
     """Take the marked vehicles off the road, count them, and close the order."""
     kept = 0
@@ -95,6 +96,8 @@ def remove_vehicles(road: Any, vehicles: Any, order: Any) -> None:
             road.num_collided += 1
         else:
             road.num_left += 1
+            if car.fate == STRAYS:
+                road.num_off_road += 1
         car.id = NONE
         car.agent = NONE
     road.num_vehicles = kept

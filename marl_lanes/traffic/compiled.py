@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.registry import CPUDispatcher
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -27,7 +28,33 @@ def compiled(function: Function) -> Function:
     Division by zero gives inf and nan as in numpy. Without the GIL several threads advance
     disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was vectorised.
     """
-    dispatcher = numba.njit(function, cache=True, nogil=True, error_model="numpy")
+    return _compile(function)
+
+
+class _Internal(CPUDispatcher):
+    """A kernel without an entry from Python; calling it there would crash the interpreter."""
+
+    def __call__(self, *_: Any, **__: Any) -> Any:
+        raise TypeError(f"{self.py_func.__name__}() can be called by other kernels only")
+
+
+def internal(function: Function) -> Function:
+    """Like ``compiled``, for what only kernels call: without the costly entry from Python.
+
+    Raises:
+        TypeError: when it is called from Python, unless numba's compilation is switched off.
+    """
+    dispatcher = _compile(function, no_cpython_wrapper=True)
+    if dispatcher is not function:
+        cast("Any", dispatcher).__class__ = _Internal
+    return dispatcher
+
+
+def _compile(function: Function, **options: bool) -> Function:
+    compile_ = cast("Any", numba.njit)
+    dispatcher = compile_(
+        function, cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
+    )
     if dispatcher is not function:
         # Numba stamps a cached kernel with its own file alone, yet it holds the code of the
         # kernels that it calls: without this an edit of one file would leave the others stale.

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.idm import interaction_term
 from marl_lanes.traffic.kinematics import lane_centre, occupy, road_turn_rate
 from marl_lanes.traffic.neighbors import bumper_gap, neighbor_in_lane
@@ -11,7 +11,7 @@ from marl_lanes.traffic.random import choice, uniform
 from marl_lanes.traffic.state import NONE
 
 
-@compiled
+@internal
 def schedule(road: Any, lane_record: Any, now: float, profiles: Any, constants: Any) -> None:
     """Draw when the lane's next vehicle departs, how fast, and by whom it is driven."""
     wait = uniform(road, constants.interval_low, constants.interval_high)
@@ -22,7 +22,7 @@ def schedule(road: Any, lane_record: Any, now: float, profiles: Any, constants: 
     lane_record.next_profile = choice(road, profiles["share"])
 
 
-@compiled
+@internal
 def has_room(front: Any, entering: Any, profile: Any, constants: Any) -> bool:
     """Whether the gap to the vehicle ahead is at least the driver's own desired gap s*."""
     term = interaction_term(
@@ -36,7 +36,7 @@ def has_room(front: Any, entering: Any, profile: Any, constants: Any) -> bool:
     return bool(term <= 1.0) and bumper_gap(entering, front, constants) > 0.0
 
 
-@compiled
+@internal
 def _place(car: Any, lane: int, lane_record: Any, arcs: Any, constants: Any) -> None:
     """Put a vehicle at the lane's beginning."""
     car.position = 0.0
@@ -54,7 +54,7 @@ def _place(car: Any, lane: int, lane_record: Any, arcs: Any, constants: Any) -> 
     occupy(car, constants)
 
 
-@compiled
+@internal
 def depart(
     road: Any,
     lanes: Any,
@@ -90,7 +90,7 @@ def depart(
         schedule(road, lanes[lane], now, profiles, constants)
 
 
-@compiled
+@internal
 def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: Any) -> None:
     """An empty road at the beginning of its warm-up; the random numbers go on."""
     for slot in range(vehicles.shape[0]):

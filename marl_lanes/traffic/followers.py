@@ -9,7 +9,7 @@ then it follows the car-following law, as hard as it must brake.
 
 from typing import Any
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
 from marl_lanes.traffic.neighbors import bumper_gap
 from marl_lanes.traffic.state import NONE, Disposition, Phase
@@ -21,14 +21,14 @@ _WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
 
 
-@compiled
+@internal
 def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, c: Any) -> float:
     """The interaction term toward ``front``."""
     gap = bumper_gap(car, front, c)
     return interaction_term(car.speed, gap, car.speed - front.speed, s0, headway, scale)
 
 
-@compiled
+@internal
 def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or none [m/s^2]."""
     interaction = 0.0
@@ -45,7 +45,7 @@ def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: A
     return idm_acceleration(profile.max_acceleration, free_road, interaction, constants.is_sum_form)
 
 
-@compiled
+@internal
 def _is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
     """Whether the target lane's follower, not itself commanded, overlaps the car lengthwise."""
     if follower == NONE:
@@ -55,7 +55,7 @@ def _is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
     return bool(other.agent == NONE and bumper_gap(other, car, constants) < 0.0)
 
 
-@compiled
+@internal
 def _drive_among(
     car: Any, profile: Any, lanes: Any, vehicles: Any, agents: Any, constants: Any
 ) -> float:
@@ -66,7 +66,8 @@ def _drive_among(
     is_body_in = False
     if has_changer:
         changer = vehicles[car.changer]
-        is_body_in = changer.lane_low <= car.lane <= changer.lane_high
+        lane = agents[changer.agent].target_lane
+        is_body_in = changer.lane_low <= lane <= changer.lane_high
     if has_changer and not is_body_in and car.disposition == _ADVERSARIAL:
         headway, scale = constants.adversarial_time_headway, profile.adversarial_braking_scale
         limit = constants.adversarial_max_acceleration
@@ -112,7 +113,7 @@ def _drive_among(
     return acceleration
 
 
-@compiled
+@internal
 def accelerate(
     road: Any, lanes: Any, vehicles: Any, order: Any, agents: Any, profiles: Any, constants: Any
 ) -> None:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import compiled, internal
 from marl_lanes.traffic.neighbors import bumper_gap
 from marl_lanes.traffic.state import NONE
 
@@ -19,7 +19,7 @@ def is_gap_safe(rear: Any, front: Any, constants: Any) -> bool:
     return bool(bumper_gap(rear, front, constants) >= needed)
 
 
-@compiled
+@internal
 def is_target_gap_safe(agent: Any, vehicles: Any, constants: Any) -> bool:
     """Whether the gaps to the target lane's leader and follower are both safe."""
     car = vehicles[agent.vehicle]

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import compiled, internal
 
 _KEEPING_MIN_SPEED = 1.0
 """[m/s] Lane keeping divides by the speed; below this it steers as if it went this fast."""
@@ -34,7 +34,7 @@ def lane_centre(lane: int, lane_width: float) -> float:
     return (lane + 0.5) * lane_width
 
 
-@compiled
+@internal
 def half_extent(yaw: float, constants: Any) -> float:
     """Half of the body's width across the road: (l/2)|sin psi| + (w/2)|cos psi| [m]."""
     if yaw == 0.0:
@@ -85,7 +85,7 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> None:
     occupy(car, constants)
 
 
-@compiled
+@internal
 def occupy(car: Any, constants: Any) -> None:
     """Set the lanes that the body overlaps, off-road parts counted to the outermost lane."""
     extent = half_extent(car.yaw, constants)

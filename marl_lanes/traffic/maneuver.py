@@ -7,7 +7,7 @@ toward the target lane. aborting: the agent steers back to the origin lane, then
 import math
 from typing import Any
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import compiled, internal
 from marl_lanes.traffic.gap import is_target_gap_safe
 from marl_lanes.traffic.kinematics import half_extent, lane_centre
 from marl_lanes.traffic.random import uniform
@@ -20,7 +20,7 @@ _ABORTING = int(Phase.ABORTING)
 _UNFINISHED = int(Outcome.UNFINISHED)
 
 
-@compiled
+@internal
 def is_steering(agent: Any) -> bool:
     """Whether the agent's action counts: engaged or aborting."""
     return bool(agent.phase == _ENGAGED or agent.phase == _ABORTING)
@@ -38,7 +38,7 @@ def lateral_deviation(agent: Any, car: Any, constants: Any) -> float:
     return float(agent.direction * distance)
 
 
-@compiled
+@internal
 def has_arrived(deviation: float, car: Any, turning: float, constants: Any) -> bool:
     """The completion criterion: every bound that the scenario sets holds."""
     return bool(
@@ -48,7 +48,7 @@ def has_arrived(deviation: float, car: Any, turning: float, constants: Any) -> b
     )
 
 
-@compiled
+@internal
 def is_off_road(car: Any, constants: Any) -> bool:
     """Whether the body is beyond an edge of the road, or the car no longer faces along it."""
     if car.yaw == 0.0:
@@ -62,7 +62,7 @@ def is_off_road(car: Any, constants: Any) -> bool:
     )
 
 
-@compiled
+@internal
 def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: Any) -> None:
     """Command middle-lane vehicles that reach their command position, each once.
 
@@ -73,7 +73,8 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
         car = vehicles[slot]
         if car.position < car.command_position:
             continue
-        is_over = road.is_done or road.num_commands == constants.num_agents > 0
+        is_last_step = road.step == constants.horizon_steps > 0
+        is_over = road.is_done or is_last_step or road.num_commands == constants.num_agents > 0
         if road.step < 0 or is_over or not (constants.command_lanes >> car.lane) & 1:
             car.command_position = math.inf
             continue
@@ -101,7 +102,7 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
         road.num_live += 1
 
 
-@compiled
+@internal
 def change_phase(agent: Any, vehicles: Any, turning: float, constants: Any) -> None:
     """Engage, abort or return to waiting, by the gap selector and the vehicle's place."""
     car = vehicles[agent.vehicle]
@@ -117,7 +118,7 @@ def change_phase(agent: Any, vehicles: Any, turning: float, constants: Any) -> N
         agent.phase = _WAITING
 
 
-@compiled
+@internal
 def end_command(agent: Any, car: Any, road: Any, outcome: int) -> None:
     """Record how the command ended; the slot is free again from the next step on."""
     agent.outcome = outcome
@@ -126,7 +127,7 @@ def end_command(agent: Any, car: Any, road: Any, outcome: int) -> None:
     road.num_live -= 1
 
 
-@compiled
+@internal
 def clear_ended(agents: Any, observations: Any) -> None:
     """Free the slots of the commands that ended in the step before."""
     for index in range(agents.shape[0]):
@@ -136,7 +137,7 @@ def clear_ended(agents: Any, observations: Any) -> None:
             observations[index, :] = 0.0
 
 
-@compiled
+@internal
 def clear_agent(agent: Any) -> None:
     """Empty an agent slot; the serial number of its last command stays readable."""
     agent.vehicle = NONE

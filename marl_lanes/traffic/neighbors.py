@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import compiled, internal
 from marl_lanes.traffic.state import NONE, Phase
 
 _ENGAGED = int(Phase.ENGAGED)
 
 
-@compiled
+@internal
 def sort_by_position(order: Any, count: int, vehicles: Any) -> None:
     """Restore the order of decreasing position: an insertion sort, near linear on near order."""
     for rank in range(1, count):
@@ -21,7 +21,7 @@ def sort_by_position(order: Any, count: int, vehicles: Any) -> None:
         order[below + 1] = slot
 
 
-@compiled
+@internal
 def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
     """Whether the body overlaps the lane, or the car is engaged toward it."""
     if car.lane_low <= lane <= car.lane_high:
@@ -32,7 +32,7 @@ def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
     return bool(agent.phase == _ENGAGED and agent.target_lane == lane)
 
 
-@compiled
+@internal
 def neighbor_in_lane(
     rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
 ) -> int:
@@ -46,7 +46,7 @@ def neighbor_in_lane(
     return NONE
 
 
-@compiled
+@internal
 def find_agent_neighbors(agent: Any, order: Any, count: int, vehicles: Any, agents: Any) -> None:
     """Set the agent's leader and follower in its origin and in its target lane."""
     rank = 0

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.kinematics import curvature_at
 from marl_lanes.traffic.maneuver import lateral_deviation
 from marl_lanes.traffic.state import NONE
@@ -77,7 +77,7 @@ def feature_bounds(names: Sequence[str]) -> tuple[NDArray[np.float32], NDArray[n
     return low, np.asarray([row.high for row in rows], np.float32)
 
 
-@compiled
+@internal
 def _own_feature(code: int, agent: Any, car: Any, arcs: Any, constants: Any) -> float:
     direction = agent.direction
     if code == 0:
@@ -95,7 +95,7 @@ def _own_feature(code: int, agent: Any, car: Any, arcs: Any, constants: Any) -> 
     return float(direction * curvature_at(arcs, car.position))
 
 
-@compiled
+@internal
 def _neighbor_feature(code: int, agent: Any, car: Any, vehicles: Any, constants: Any) -> float:
     which, is_speed = divmod(code - _FIRST_NEIGHBOR, 2)
     if which == 0:
@@ -115,7 +115,7 @@ def _neighbor_feature(code: int, agent: Any, car: Any, vehicles: Any, constants:
     return float(min(gap, constants.sensor_range))
 
 
-@compiled
+@internal
 def observe(
     agent: Any,
     vehicles: Any,

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import internal
 
 
-@compiled
+@internal
 def reward(agent: Any, car: Any, deviation: float, turning: float, constants: Any) -> None:
     """-(w_acce |a| + w_rate |omega - c s'| + w_dev |dev|/d_avg), term by term, then the sum.
 

@@ -74,8 +74,8 @@ class Simulator:
 
     def seed(self, seed: int) -> None:
         """Start the random numbers again; road e takes stream e of the seed. Resets nothing."""
-        if not 0 <= seed < 2**64:
-            raise ValueError(f"seed = {seed}: must be 0 to 2^64 - 1")
+        if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**64:
+            raise ValueError(f"seed = {seed!r}: must be a whole number, 0 to 2^64 - 1")
         self.state.roads["random_key"] = seed
         self.state.roads["random_stream"] = np.arange(self.num_envs)
         self.state.roads["random_counter"] = 0
@@ -89,6 +89,10 @@ class Simulator:
         chosen = self._every_road if mask is None else np.asarray(mask, np.bool_)
         if chosen.shape != (self.num_envs,):
             raise ValueError(f"mask: shape {chosen.shape}, must be ({self.num_envs},)")
+        # Nothing of the last episode stays, so that equal seeds give equal bytes.
+        for array in (self.state.vehicles, self.state.agents, self.state.collisions):
+            array[chosen] = np.zeros((), array.dtype)
+        self.state.order[chosen] = 0
         self._run(RESET, chosen)
 
     def step(self, actions: ArrayLike | None = None) -> None:
@@ -113,7 +117,17 @@ class Simulator:
         self._run(STEP, self._every_road)
 
     def advance_until_live(self) -> None:
-        """Advance each road on which no agent is live until one is, or its episode is over."""
+        """Advance each road on which no agent is live until one is, or its episode is over.
+
+        Raises:
+            ValueError: neither would ever come.
+        """
+        scenario = self.scenario
+        if scenario.command.probability == 0.0 and scenario.horizon is None:
+            raise ValueError(
+                f"scenario {scenario.name!r}: command.probability = 0 and horizon = null: no agent "
+                "would ever be live"
+            )
         self._run(SKIP, self._every_road)
 
     def snapshot(self) -> bytes:

@@ -71,30 +71,30 @@ VEHICLE: Table = (
     ("disposition", "i4", "1", "Disposition"),
     ("agent", "i4", "1", "agent slot, -1 where it has no live command"),
     ("changer", "i4", "1", "vehicle slot of the engaged changer it is the follower of, -1 if none"),
-    ("fate", "i4", "1", "within a step: 0 stays, 1 leaves the road, 2 collides"),
+    ("fate", "i4", "1", "within a step: 0 stays, 1 leaves, 2 collides, 3 off the road"),
 )
 
 AGENT: Table = (
-    ("vehicle", "i4", "1", "vehicle slot, -1 where the slot is free"),
     ("command", "i8", "1", "serial number of the command in the episode, from 0; -1 before one"),
-    ("phase", "i4", "1", "Phase"),
-    ("outcome", "i4", "1", "Outcome, set in the step that ends the command alone"),
-    ("direction", "i4", "1", "+1 to the left, -1 to the right"),
-    ("origin_lane", "i4", "lane", "the lane of the command"),
-    ("target_lane", "i4", "lane", "the lane to reach"),
-    ("num_aborts", "i4", "1", "times that the gap guard turned it back"),
+    ("num_aborts", "i8", "1", "times that the gap guard turned it back"),
     ("born_step", "i8", "step", "step of the command"),
     ("engaged_steps", "i8", "step", "steps that it steered"),
-    ("leader", "i4", "1", "vehicle slot ahead in the origin lane, -1 if none"),
-    ("follower", "i4", "1", "vehicle slot behind in the origin lane, -1 if none"),
-    ("target_leader", "i4", "1", "vehicle slot ahead in the target lane, -1 if none"),
-    ("target_follower", "i4", "1", "vehicle slot behind in the target lane, -1 if none"),
     ("reward", "f8", "1", "of the last step: the sum of the four terms"),
     ("episode_reward", "f8", "1", "sum of the rewards since the command"),
     ("reward_acceleration", "f8", "1", "Eq. 10"),
     ("reward_yaw_rate", "f8", "1", "Eq. 11"),
     ("reward_deviation", "f8", "1", "Eq. 12"),
     ("reward_failure", "f8", "1", "minus the failure penalty in the step of a failure"),
+    ("vehicle", "i4", "1", "vehicle slot, -1 where the slot is free"),
+    ("phase", "i4", "1", "Phase"),
+    ("outcome", "i4", "1", "Outcome, set in the step that ends the command alone"),
+    ("direction", "i4", "1", "+1 to the left, -1 to the right"),
+    ("origin_lane", "i4", "lane", "the lane of the command"),
+    ("target_lane", "i4", "lane", "the lane to reach"),
+    ("leader", "i4", "1", "vehicle slot ahead in the origin lane, -1 if none"),
+    ("follower", "i4", "1", "vehicle slot behind in the origin lane, -1 if none"),
+    ("target_leader", "i4", "1", "vehicle slot ahead in the target lane, -1 if none"),
+    ("target_follower", "i4", "1", "vehicle slot behind in the target lane, -1 if none"),
 )
 
 ROAD: Table = (
@@ -116,7 +116,7 @@ ROAD: Table = (
 LANE: Table = (
     ("next_departure", "f8", "s", "time of the next departure, since the warm-up"),
     ("next_speed", "f8", "m/s", "speed of the next departure"),
-    ("next_profile", "i4", "1", "driver profile of the next departure"),
+    ("next_profile", "i8", "1", "driver profile of the next departure"),
     (
         "nearest",
         "i4",
@@ -132,7 +132,7 @@ COLLISION: Table = (
     ("front_id", "i8", "1", "id of the vehicle ahead"),
     ("rear_command", "i8", "1", "command of the vehicle behind, -1 if none was live"),
     ("front_command", "i8", "1", "command of the vehicle ahead, -1 if none was live"),
-    ("kind", "i4", "1", "CollisionKind"),
+    ("kind", "i8", "1", "CollisionKind"),
     ("position", "f8", "m", "of the vehicle behind"),
     ("closing_speed", "f8", "m/s", "speed of the one behind minus that of the one ahead"),
 )
@@ -146,6 +146,9 @@ Records = NDArray[np.void]
 def structure(table: Table) -> np.dtype[np.void]:
     """The aligned structured dtype of a table, its fields readable as attributes."""
     fields = np.dtype([(name, kind) for name, kind, _, _ in table], align=True)
+    # Padding would be bytes that no one sets: equal states could differ in them.
+    if fields.itemsize != sum(np.dtype(kind).itemsize for _, kind, _, _ in table):
+        raise ValueError("a table's 8-byte fields must come first, and its 4-byte ones be even")
     # A record dtype gives attribute access in compiled and in interpreted kernels alike.
     return np.dtype((np.record, fields))
 

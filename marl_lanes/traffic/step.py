@@ -9,10 +9,11 @@ from typing import Any
 from marl_lanes.traffic.collisions import (
     COLLIDES,
     LEAVES,
+    STRAYS,
     detect_collisions,
     remove_vehicles,
 )
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.compiled import compiled, internal
 from marl_lanes.traffic.departures import clear_road, depart
 from marl_lanes.traffic.followers import accelerate
 from marl_lanes.traffic.kinematics import integrate, keep_lane, road_turn_rate
@@ -47,7 +48,7 @@ _MISSED = int(Outcome.MISSED)
 _HORIZON = int(Outcome.HORIZON)
 
 
-@compiled
+@internal
 def move(
     road: Any, vehicles: Any, order: Any, agents: Any, actions: Any, arcs: Any, constants: Any
 ) -> bool:
@@ -69,8 +70,7 @@ def move(
         integrate(car, turn_rate, arcs, constants)
         car.changer = NONE
         if is_off_road(car, constants):
-            car.fate = LEAVES
-            road.num_off_road += 1
+            car.fate = STRAYS
         elif car.position >= constants.road_length:
             car.fate = LEAVES
         elif car.position >= car.command_position:
@@ -78,14 +78,14 @@ def move(
     return is_command_due
 
 
-@compiled
+@internal
 def find_outcome(
     agent: Any, car: Any, deviation: float, turning: float, road: Any, constants: Any
 ) -> int:
     """How the command ends in this step, if it does."""
     if car.fate == COLLIDES:
         return _COLLISION
-    if car.fate == LEAVES and is_off_road(car, constants):
+    if car.fate == STRAYS:
         return _OFF_ROAD
     if agent.phase == _ENGAGED and has_arrived(deviation, car, turning, constants):
         return _COMPLETED
@@ -96,7 +96,7 @@ def find_outcome(
     return _UNFINISHED
 
 
-@compiled
+@internal
 def judge(
     road: Any,
     vehicles: Any,
@@ -134,7 +134,7 @@ def judge(
         end_command(agent, car, road, outcome)
 
 
-@compiled
+@internal
 def renew(
     road: Any,
     vehicles: Any,
@@ -164,43 +164,7 @@ def renew(
                 vehicles[follower].changer = agent.vehicle
 
 
-@compiled
-def advance_road(
-    road: Any,
-    lanes: Any,
-    vehicles: Any,
-    order: Any,
-    agents: Any,
-    collisions: Any,
-    observations: Any,
-    actions: Any,
-    constants: Any,
-    profiles: Any,
-    dispositions: Any,
-    arcs: Any,
-    features: Any,
-) -> None:
-    """One road, one time step: drive, steer, move, judge, remove, depart, command, renew."""
-    clear_ended(agents, observations)
-    accelerate(road, lanes, vehicles, order, agents, profiles, constants)
-    is_command_due = move(road, vehicles, order, agents, actions, arcs, constants)
-    road.step += 1
-    sort_by_position(order, road.num_vehicles, vehicles)
-    detect_collisions(road, vehicles, order, agents, collisions, constants)
-    if road.num_live > 0:
-        judge(road, vehicles, order, agents, observations, arcs, features, constants)
-    remove_vehicles(road, vehicles, order)
-    depart(road, lanes, vehicles, order, agents, constants, profiles, dispositions, arcs)
-    if is_command_due:
-        give_commands(road, vehicles, order, agents, constants)
-    if road.num_live > 0:
-        renew(road, vehicles, order, agents, observations, arcs, features, constants)
-    is_last_over = road.num_commands == constants.num_agents > 0 and road.num_live == 0
-    if is_last_over or road.step == constants.horizon_steps > 0:
-        road.is_done = 1
-
-
-@compiled
+@internal
 def clear(
     road: Any,
     lanes: Any,
@@ -243,7 +207,8 @@ def run(
 ) -> None:
     """Advance the masked roads among ``start`` to ``stop``; the others keep every byte.
 
-    One entry point, for it is compiled but once.
+    A time step: drive, move, judge, remove, depart, command, renew. It is one function, with one
+    entry point, because the compiler optimises all that a function calls anew at each level.
 
     Args:
         start: first road.
@@ -254,21 +219,14 @@ def run(
         actions: (E, A, 1) float64, yaw acceleration in the maneuver frame [rad/s^2].
         roads: and what follows, the arrays of State, then those of Parameters.
     """
+    p = constants[0]
     for env in range(start, stop):
         if not mask[env]:
             continue
-        road = roads[env]
+        road, lane, cars, ranks = roads[env], lanes[env], vehicles[env], order[env]
+        live, seen, crashes = agents[env], observations[env], collisions[env]
         if mode == RESET:
-            clear(
-                road,
-                lanes[env],
-                vehicles[env],
-                agents[env],
-                collisions[env],
-                observations[env],
-                profiles,
-                constants[0],
-            )
+            clear(road, lane, cars, live, crashes, seen, profiles, p)
         is_first = mode == STEP
         while (
             is_first
@@ -276,18 +234,20 @@ def run(
             or (mode == SKIP and road.num_live == 0 and not road.is_done)
         ):
             is_first = False
-            advance_road(
-                road,
-                lanes[env],
-                vehicles[env],
-                order[env],
-                agents[env],
-                collisions[env],
-                observations[env],
-                actions[env],
-                constants[0],
-                profiles,
-                dispositions,
-                arcs,
-                features,
-            )
+            clear_ended(live, seen)
+            accelerate(road, lane, cars, ranks, live, profiles, p)
+            is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
+            road.step += 1
+            sort_by_position(ranks, road.num_vehicles, cars)
+            detect_collisions(road, cars, ranks, live, crashes, p)
+            if road.num_live > 0:
+                judge(road, cars, ranks, live, seen, arcs, features, p)
+            remove_vehicles(road, cars, ranks)
+            depart(road, lane, cars, ranks, live, p, profiles, dispositions, arcs)
+            if is_command_due:
+                give_commands(road, cars, ranks, live, p)
+            if road.num_live > 0:
+                renew(road, cars, ranks, live, seen, arcs, features, p)
+            is_last_over = road.num_commands == p.num_agents > 0 and road.num_live == 0
+            if is_last_over or road.step == p.horizon_steps > 0:
+                road.is_done = 1

@@ -1,0 +1,637 @@
+"""A slow oracle of one time step, in plain Python: the design page and the paper, nothing shared.
+
+``Road.of(simulator)`` takes one road's snapshot; ``road.step(actions)`` advances it. Only the
+enumerations and the state's names come from the package: every formula is written again here.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from marl_lanes.traffic.state import CollisionKind, Disposition, Outcome, Phase
+
+KEEPING_MIN_SPEED = 1.0
+CONTACT_GAP = 0.01
+
+
+def philox(counter, key):
+    """Philox4x32-10: four 32-bit words under two key words."""
+    words, keys = list(counter), list(key)
+    for _ in range(10):
+        high_0, low_0 = divmod(0xD2511F53 * words[0], 2**32)
+        high_1, low_1 = divmod(0xCD9E8D57 * words[2], 2**32)
+        words = [high_1 ^ words[1] ^ keys[0], low_1, high_0 ^ words[3] ^ keys[1], low_0]
+        keys = [(keys[0] + 0x9E3779B9) % 2**32, (keys[1] + 0xBB67AE85) % 2**32]
+    return words
+
+
+class Random:
+    """Stream ``stream`` of ``key``, ``count`` numbers drawn."""
+
+    def __init__(self, key, stream, count):
+        self.key, self.stream, self.count = key, stream, count
+
+    def uniform(self, low, high):
+        counter = self.count % 2**32, self.count // 2**32, self.stream % 2**32, self.stream // 2**32
+        words = philox(counter, (self.key % 2**32, self.key // 2**32))
+        self.count += 1
+        return low + (high - low) * ((words[1] * 2**32 + words[0]) // 2**11) / 2**53
+
+    def choose(self, shares):
+        """A key of ``shares``, as often as its share of the sum."""
+        draw, total, below = self.uniform(0.0, 1.0), sum(shares.values()), 0.0
+        for name, share in shares.items():
+            below += share / total
+            if draw < below:
+                return name
+        return [name for name, share in shares.items() if share][-1]
+
+
+@dataclass(eq=False)
+class Car:
+    """A vehicle; lengths in the road frame."""
+
+    id: int
+    slot: int
+    position: float
+    lateral_position: float
+    speed: float
+    acceleration: float
+    yaw: float
+    yaw_rate: float
+    yaw_acceleration: float
+    desired_speed: float
+    command_position: float
+    lane: int
+    profile: str
+    disposition: Disposition
+    agent: "Agent | None" = None
+    changer: "Car | None" = None
+    is_off_road: bool = False
+    is_past_end: bool = False
+    is_hit: bool = False
+
+
+@dataclass(eq=False)
+class Agent:
+    """A live command."""
+
+    slot: int
+    car: Car
+    command: int
+    direction: int
+    origin: int
+    target: int
+    born: int
+    phase: Phase = Phase.WAITING
+    outcome: Outcome = Outcome.UNFINISHED
+    num_aborts: int = 0
+    engaged_steps: int = 0
+    terms: dict = field(default_factory=dict)
+    reward: float = 0.0
+    episode_reward: float = 0.0
+    neighbors: dict = field(default_factory=dict)
+    observation: dict = field(default_factory=dict)
+
+    @property
+    def is_steering(self):
+        return self.phase in (Phase.ENGAGED, Phase.ABORTING)
+
+
+class Road:
+    """One road of a scenario: ``cars`` from the front to the rear."""
+
+    def __init__(self, scenario):
+        self.scenario = scenario
+        self.cars, self.agents, self.collisions, self.counts = [], {}, [], {}
+        self.known_lanes = {}
+
+    @classmethod
+    def of(cls, simulator, env=0):
+        """The snapshot of a simulator's road."""
+        state, road = simulator.state, cls(simulator.scenario)
+        record = state.roads[env]
+        for name in record.dtype.names:
+            if not name.startswith("random"):
+                road.counts[name] = int(record[name])
+        road.random = Random(*(int(record[f"random_{x}"]) for x in ("key", "stream", "counter")))
+        names = list(road.scenario.drivers.profiles)
+        road.departures = [
+            [float(lane["next_departure"]), float(lane["next_speed"]), names[lane["next_profile"]]]
+            for lane in state.lanes[env]
+        ]
+        floats = [name for name, (kind, *_) in state.vehicles.dtype.fields.items() if kind == "f8"]
+        by_slot = {}
+        for slot in state.order[env, : record["num_vehicles"]].tolist():
+            row = state.vehicles[env, slot]
+            car = Car(
+                id=int(row["id"]),
+                slot=slot,
+                **{name: float(row[name]) for name in floats},
+                lane=int(row["lane"]),
+                profile=names[row["profile"]],
+                disposition=Disposition(int(row["disposition"])),
+            )
+            by_slot[slot] = car
+            road.cars.append(car)
+        for car in road.cars:
+            car.changer = by_slot.get(int(state.vehicles[env, car.slot]["changer"]))
+        for slot, row in enumerate(state.agents[env]):
+            if row["phase"] == Phase.ABSENT:
+                continue
+            car = by_slot[int(row["vehicle"])]
+            names = "command", "direction", "origin_lane", "target_lane", "born_step"
+            car.agent = road.agents[slot] = Agent(slot, car, *(int(row[name]) for name in names))
+            car.agent.phase = Phase(int(row["phase"]))
+            car.agent.num_aborts = int(row["num_aborts"])
+            car.agent.engaged_steps = int(row["engaged_steps"])
+            car.agent.episode_reward = float(row["episode_reward"])
+            follower = by_slot.get(int(row["target_follower"]))
+            car.agent.neighbors["target_follower"] = follower
+        return road
+
+    def step(self, actions):
+        """One time step; ``actions`` one yaw acceleration for each agent slot."""
+        self.agents = {s: a for s, a in self.agents.items() if a.outcome == Outcome.UNFINISHED}
+        for car, acceleration in [(car, self.longitudinal(car)) for car in self.cars]:
+            car.acceleration = acceleration
+        for car in self.cars:
+            self.move(car, actions)
+        self.counts["step"] += 1
+        self.cars.sort(key=lambda car: -car.position)
+        self.collide()
+        for slot in sorted(self.agents):
+            self.judge(self.agents[slot])
+        self.remove()
+        self.depart()
+        self.give_commands()
+        for slot in sorted(self.agents):
+            if self.agents[slot].outcome == Outcome.UNFINISHED:
+                self.renew(self.agents[slot])
+        self.finish()
+
+    # Geometry
+
+    def centre(self, lane):
+        return self.scenario.road.lane_width * lane + self.scenario.road.lane_width / 2
+
+    def curvature(self, position):
+        for arc in self.scenario.road.arcs:
+            if arc.start <= position < arc.end:
+                return 1.0 / arc.radius
+        return 0.0
+
+    def turn_rate(self, car):
+        """Of the road under the car: c s'."""
+        c = self.curvature(car.position)
+        return c * car.speed * math.cos(car.yaw) / (1.0 - c * car.lateral_position)
+
+    def corners(self, car):
+        """Of the rectangle, counter-clockwise."""
+        half_length, half_width = self.scenario.vehicle.length / 2, self.scenario.vehicle.width / 2
+        cos, sin = math.cos(car.yaw), math.sin(car.yaw)
+        return [
+            (
+                car.position + x * half_length * cos - y * half_width * sin,
+                car.lateral_position + x * half_length * sin + y * half_width * cos,
+            )
+            for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        ]
+
+    def lanes_of(self, car):
+        """The lanes that the body overlaps."""
+        pose = car.lateral_position, car.yaw
+        if pose not in self.known_lanes:
+            width, last = self.scenario.road.lane_width, self.scenario.road.num_lanes - 1
+            across = [corner[1] for corner in self.corners(car)]
+            low, high = math.floor(min(across) / width), math.floor(max(across) / width)
+            self.known_lanes[pose] = range(min(max(low, 0), last), min(max(high, 0), last) + 1)
+        return self.known_lanes[pose]
+
+    # Who is where
+
+    def is_in(self, car, lane):
+        """By its body, or engaged toward it."""
+        engaged = car.agent is not None and car.agent.phase == Phase.ENGAGED
+        return lane in self.lanes_of(car) or (engaged and car.agent.target == lane)
+
+    def ahead(self, car, is_candidate):
+        """The nearest car ahead of ``car`` that is a candidate, or None."""
+        front = self.cars[: self.cars.index(car)]
+        return next((other for other in reversed(front) if is_candidate(other)), None)
+
+    def behind(self, car, is_candidate):
+        rear = self.cars[self.cars.index(car) + 1 :]
+        return next((other for other in rear if is_candidate(other)), None)
+
+    def gap(self, rear, front):
+        return front.position - rear.position - self.scenario.vehicle.length
+
+    # Car following
+
+    def follow(self, car, front, profile, *, v0, a_m, headway, scale_a_m):
+        """Eq. 9 toward one leader, or none; the standard IDM where the scenario says sum."""
+        free = (car.speed / v0) ** profile.exponent
+        term = 0.0
+        if front is not None:
+            term = self.interaction(car, front, profile, headway, scale_a_m)
+        if self.scenario.drivers.car_following == "sum":
+            return a_m * (1.0 - (free + term))
+        return a_m * (1.0 - max(free, term))
+
+    def interaction(self, car, front, profile, headway, a_m):
+        root = 2.0 * math.sqrt(a_m * profile.comfortable_braking)
+        dynamic = car.speed * headway + car.speed * (car.speed - front.speed) / root
+        desired = profile.minimum_gap + max(0.0, dynamic)
+        return (desired / max(self.gap(car, front), CONTACT_GAP)) ** 2
+
+    def longitudinal(self, car):
+        """The smallest acceleration toward the leaders in the car's lanes, by disposition."""
+        profile = self.scenario.drivers.profiles[car.profile]
+        style = {"v0": car.desired_speed, "a_m": profile.max_acceleration}
+        style |= {"headway": profile.time_headway, "scale_a_m": profile.max_acceleration}
+        plain = dict(style)
+        is_body_in = car.changer is not None and (
+            car.changer.agent.target in self.lanes_of(car.changer)
+        )
+        is_adversarial = car.disposition == Disposition.ADVERSARIAL
+        if car.changer is not None and not is_body_in and is_adversarial:
+            hostile = self.scenario.followers.adversarial
+            style["v0"] *= hostile.desired_speed_factor
+            style["a_m"] = style["scale_a_m"] = hostile.max_acceleration
+            style["headway"] = hostile.time_headway
+        leaders = [None]
+        for lane in self.lanes_of(car):
+            leaders.append(self.ahead(car, lambda other, lane=lane: lane in self.lanes_of(other)))
+        beyond = self.leaders_beyond(car)
+        if car.agent is not None and car.agent.phase == Phase.ENGAGED:
+            leaders += beyond
+        wanted = min(self.follow(car, front, profile, **style) for front in leaders)
+        if car.agent is not None and car.agent.phase == Phase.WAITING:
+            # It aligns with the target lane, gently; beside somebody it falls back.
+            gentle = -profile.comfortable_braking
+            aligning = min(self.follow(car, front, profile, **style) for front in beyond)
+            is_beside = self.is_beside(car, car.agent.neighbors["target_follower"])
+            wanted = min(wanted, gentle if is_beside else max(aligning, gentle))
+        if car.changer is not None and car.disposition == Disposition.COOPERATIVE:
+            gentle = self.scenario.followers.cooperative
+            plain["headway"] = gentle.time_headway
+            yielding = self.follow(car, car.changer, profile, **plain)
+            wanted = min(wanted, yielding if is_body_in else max(yielding, -gentle.max_braking))
+        return max(wanted, -self.scenario.vehicle.max_braking)
+
+    def leaders_beyond(self, car):
+        """Ahead of a commanded car, in or engaged toward its target lane; None among them."""
+        if car.agent is None:
+            return [None]
+        target = car.agent.target
+        in_lane = self.ahead(car, lambda other: target in self.lanes_of(other))
+        changing = self.ahead(car, lambda other: self.is_engaged_toward(other, target))
+        return [None, in_lane, changing]
+
+    def is_beside(self, car, follower):
+        """Whether the target lane's follower, not itself commanded, overlaps lengthwise."""
+        is_free = follower is not None and follower.agent is None
+        return is_free and self.gap(follower, car) < 0.0
+
+    @staticmethod
+    def is_engaged_toward(car, lane):
+        agent = car.agent
+        return agent is not None and agent.phase == Phase.ENGAGED and agent.target == lane
+
+    # Motion
+
+    def move(self, car, actions):
+        """Steer, then semi-implicit Euler; the road's turning is that before the step."""
+        scenario, turn_rate = self.scenario, self.turn_rate(car)
+        if car.agent is not None and car.agent.is_steering:
+            bound = scenario.action.max_yaw_acceleration
+            action = min(max(actions[car.agent.slot], -bound), bound)
+            car.yaw_acceleration = car.agent.direction * action
+        else:
+            pole, bound = scenario.lane_keeping.pole, scenario.lane_keeping.max_yaw_acceleration
+            error = self.centre(car.lane) - car.lateral_position
+            steering = pole**3 * error / max(car.speed, KEEPING_MIN_SPEED)
+            steering -= 3 * pole**2 * car.yaw + 3 * pole * (car.yaw_rate - turn_rate)
+            car.yaw_acceleration = min(max(steering, -bound), bound)
+        step = scenario.time_step
+        car.speed = max(0.0, car.speed + car.acceleration * step)
+        fastest = car.speed / scenario.vehicle.min_turning_radius
+        car.yaw_rate = min(max(car.yaw_rate + car.yaw_acceleration * step, -fastest), fastest)
+        car.yaw += (car.yaw_rate - turn_rate) * step
+        c = self.curvature(car.position)
+        along = car.speed * math.cos(car.yaw) / (1.0 - c * car.lateral_position)
+        car.position += along * step
+        car.lateral_position += car.speed * math.sin(car.yaw) * step
+        car.changer = None
+        across = [corner[1] for corner in self.corners(car)]
+        width = scenario.road.num_lanes * scenario.road.lane_width
+        is_turned = abs(car.yaw) >= math.pi / 2
+        car.is_off_road = min(across) < 0.0 or max(across) > width or is_turned
+        car.is_past_end = car.position >= scenario.road.length
+
+    def collide(self):
+        """Every pair of rectangles that overlap, the front one first along the road."""
+        length = self.scenario.vehicle.length
+        reach = math.hypot(length, self.scenario.vehicle.width)
+        for rank, front in enumerate(self.cars):
+            for rear in self.cars[rank + 1 :]:
+                if front.position - rear.position > reach:
+                    break
+                if overlap_area(self.corners(rear), self.corners(front)) <= 1e-12:
+                    continue
+                front.is_hit = rear.is_hit = True
+                closing = rear.speed - front.speed
+                before = front.position - rear.position + closing * self.scenario.time_step
+                kind = CollisionKind.SIDE if abs(before) < length else CollisionKind.REAR_END
+                self.collisions.append(
+                    {
+                        "step": self.counts["step"],
+                        "rear_id": rear.id,
+                        "front_id": front.id,
+                        "rear_command": rear.agent.command if rear.agent else -1,
+                        "front_command": front.agent.command if front.agent else -1,
+                        "kind": kind,
+                        "position": rear.position,
+                        "closing_speed": closing,
+                    }
+                )
+                self.counts["num_collisions"] += 1
+
+    # The command's life
+
+    @property
+    def is_late(self):
+        """The episode is over, or its horizon is reached: nobody is live, nobody is commanded."""
+        steps = round((self.scenario.horizon or math.inf) / self.scenario.time_step, 0)
+        return self.counts["step"] == steps or bool(self.counts["is_done"])
+
+    def deviation(self, agent):
+        """From the car to the reference lane's centre, positive toward the target lane."""
+        reference = agent.origin if agent.phase == Phase.ABORTING else agent.target
+        return agent.direction * (self.centre(reference) - agent.car.lateral_position)
+
+    def has_arrived(self, agent):
+        rule, car = self.scenario.completion, agent.car
+        measured = (
+            (self.deviation(agent), rule.max_deviation),
+            (car.speed * math.sin(car.yaw), rule.max_lateral_speed),
+            (car.yaw_rate - self.turn_rate(car), rule.max_yaw_rate),
+        )
+        return all(bound is None or abs(value) <= bound for value, bound in measured)
+
+    def outcome(self, agent):
+        car = agent.car
+        if car.is_hit:
+            return Outcome.COLLISION
+        if car.is_off_road:
+            return Outcome.OFF_ROAD
+        if agent.phase == Phase.ENGAGED and self.has_arrived(agent):
+            return Outcome.COMPLETED
+        if car.is_past_end:
+            return Outcome.MISSED
+        if self.is_late:
+            return Outcome.HORIZON
+        return Outcome.UNFINISHED
+
+    def judge(self, agent):
+        """Eq. 10-12 and the failure penalty; the end of the command."""
+        weights, car, outcome = self.scenario.reward, agent.car, self.outcome(agent)
+        has_failed = outcome in (Outcome.COLLISION, Outcome.OFF_ROAD)
+        agent.terms = dict.fromkeys(("acceleration", "yaw_rate", "deviation"), 0.0)
+        agent.terms["failure"] = -weights.failure_penalty if has_failed else 0.0
+        if agent.is_steering:
+            agent.engaged_steps += 1
+            turning = car.yaw_rate - self.turn_rate(car)
+            share = abs(self.deviation(agent)) / weights.average_deviation
+            agent.terms["acceleration"] = -weights.acceleration_weight * abs(car.yaw_acceleration)
+            agent.terms["yaw_rate"] = -weights.yaw_rate_weight * abs(turning)
+            agent.terms["deviation"] = -weights.deviation_weight * share
+        agent.reward = sum(agent.terms.values())
+        agent.episode_reward += agent.reward
+        if outcome == Outcome.UNFINISHED:
+            return
+        self.look(agent)
+        agent.outcome = outcome
+        if outcome == Outcome.COMPLETED:
+            car.lane = agent.target
+        car.agent = None
+        self.counts["num_live"] -= 1
+
+    def remove(self):
+        for car in self.cars:
+            self.counts["num_collided"] += car.is_hit
+            self.counts["num_off_road"] += car.is_off_road and not car.is_hit
+            self.counts["num_left"] += not car.is_hit and (car.is_off_road or car.is_past_end)
+        self.cars = [c for c in self.cars if not (c.is_hit or c.is_off_road or c.is_past_end)]
+
+    def depart(self):
+        """One vehicle a lane at most, where its driver has the gap that he desires."""
+        scenario = self.scenario
+        now = self.counts["step"] * scenario.time_step
+        for lane, (due, speed, name) in enumerate(self.departures):
+            taken = {car.slot for car in self.cars}
+            if now < due or len(self.cars) == scenario.max_vehicles:
+                continue
+            slot = next(slot for slot in range(scenario.max_vehicles) if slot not in taken)
+            car = Car(self.counts["num_entered"], slot, 0.0, self.centre(lane), speed, 0.0, 0.0,
+                      0.0, 0.0, 0.0, 0.0, lane, name, Disposition.NEUTRAL)  # fmt: skip
+            car.yaw_rate = self.turn_rate(car)
+            in_lane = [other for other in self.cars if self.is_in(other, lane)]
+            profile = scenario.drivers.profiles[name]
+            if in_lane:
+                front = in_lane[-1]
+                a_m, headway = profile.max_acceleration, profile.time_headway
+                term = self.interaction(car, front, profile, headway, a_m)
+                if term > 1.0 or self.gap(car, front) <= 0.0:
+                    continue
+            car.desired_speed = self.random.uniform(*scenario.departures.desired_speed)
+            shares = {d: scenario.followers.mix.get(d.name.lower(), 0.0) for d in Disposition}
+            car.disposition = self.random.choose(shares)
+            car.command_position = self.random.uniform(*scenario.command.position)
+            self.cars.append(car)
+            self.counts["num_entered"] += 1
+            due = now + self.random.uniform(*scenario.departures.interval)
+            speed = self.random.uniform(*scenario.departures.initial_speed)
+            mix = scenario.drivers.mix
+            name = self.random.choose({n: mix.get(n, 0.0) for n in scenario.drivers.profiles})
+            self.departures[lane] = [due, speed, name]
+
+    def give_commands(self):
+        scenario, counts = self.scenario, self.counts
+        middle = range(1, scenario.road.num_lanes - 1)
+        lanes = middle if scenario.command.lanes is None else scenario.command.lanes
+        for car in self.cars:
+            if car.position < car.command_position:
+                continue
+            is_over = self.is_late or counts["num_commands"] == scenario.num_agents
+            if counts["step"] < 0 or is_over or car.lane not in lanes:
+                car.command_position = math.inf
+                continue
+            free = [slot for slot in range(scenario.num_slots) if slot not in self.agents]
+            if not free:
+                break
+            car.command_position = math.inf
+            if self.random.uniform(0.0, 1.0) >= scenario.command.probability:
+                continue
+            direction = 1 if self.random.uniform(0.0, 1.0) < 0.5 else -1
+            number, origin = counts["num_commands"], car.lane
+            target, born = origin + direction, counts["step"]
+            car.agent = Agent(free[0], car, number, direction, origin, target, born)
+            self.agents[free[0]] = car.agent
+            counts["num_commands"] += 1
+            counts["num_live"] += 1
+
+    def is_gap_safe(self, rear, front):
+        """gap >= d_min + tau v_rear + max(0, v_rear - v_front)^2/(2 b_max); no vehicle is safe."""
+        if rear is None or front is None:
+            return True
+        rule, closing = self.scenario.gap, max(0.0, rear.speed - front.speed)
+        needed = rule.minimum_gap + rule.time_gap * rear.speed
+        return self.gap(rear, front) >= needed + closing**2 / (2.0 * rule.max_braking)
+
+    def is_accepted(self, agent):
+        around = agent.neighbors
+        return self.is_gap_safe(agent.car, around["target_leader"]) and self.is_gap_safe(
+            around["target_follower"], agent.car
+        )
+
+    def renew(self, agent):
+        """Neighbors, then the phase, then what the agent sees, then whose follower is whose."""
+        self.find_neighbors(agent)
+        if agent.phase == Phase.WAITING:
+            agent.phase = Phase.ENGAGED if self.is_accepted(agent) else Phase.WAITING
+        elif agent.phase == Phase.ENGAGED:
+            is_crossing = agent.target in self.lanes_of(agent.car)
+            if not is_crossing and not self.is_accepted(agent):
+                agent.phase = Phase.ABORTING
+                agent.num_aborts += 1
+        elif self.has_arrived(agent):
+            agent.phase = Phase.WAITING
+        self.look(agent, has_neighbors=True)
+        follower = agent.neighbors["target_follower"]
+        if agent.phase == Phase.ENGAGED and follower is not None:
+            other = follower.changer
+            if other is None or agent.car.position < other.position:
+                follower.changer = agent.car
+
+    def find_neighbors(self, agent):
+        for prefix, lane in (("", agent.origin), ("target_", agent.target)):
+            is_there = lambda car, lane=lane: self.is_in(car, lane)  # noqa: E731
+            agent.neighbors[f"{prefix}leader"] = self.ahead(agent.car, is_there)
+            agent.neighbors[f"{prefix}follower"] = self.behind(agent.car, is_there)
+
+    def look(self, agent, *, has_neighbors=False):
+        """Every feature by name."""
+        if not has_neighbors:
+            self.find_neighbors(agent)
+        car, sign = agent.car, agent.direction
+        seen = agent.observation
+        seen["speed"], seen["acceleration"] = car.speed, car.acceleration
+        seen["lateral_deviation"] = self.deviation(agent)
+        seen["lateral_speed"] = sign * car.speed * math.sin(car.yaw)
+        seen["yaw"], seen["yaw_rate"] = sign * car.yaw, sign * car.yaw_rate
+        seen["curvature"] = sign * self.curvature(car.position)
+        seen["phase"] = float(agent.phase)
+        seen["time"] = (self.counts["step"] - agent.born) * self.scenario.time_step
+        reach = self.scenario.observation.sensor_range
+        for name, other in agent.neighbors.items():
+            seen[f"{name}_gap"], seen[f"{name}_relative_speed"] = reach, 0.0
+            if other is not None:
+                rear, front = (car, other) if name.endswith("leader") else (other, car)
+                seen[f"{name}_gap"] = min(self.gap(rear, front), reach)
+                seen[f"{name}_relative_speed"] = other.speed - car.speed
+
+    def finish(self):
+        counts = self.counts
+        counts["num_vehicles"] = len(self.cars)
+        is_last_over = (
+            counts["num_commands"] == self.scenario.num_agents and counts["num_live"] == 0
+        )
+        if is_last_over or self.is_late:
+            counts["is_done"] = 1
+
+
+def overlap_area(subject, clip):
+    """Area of the intersection of two convex counter-clockwise polygons, by clipping."""
+    for (x0, y0), (x1, y1) in zip(clip, clip[1:] + clip[:1], strict=True):
+
+        def side(p, x0=x0, y0=y0, x1=x1, y1=y1):
+            return (x1 - x0) * (p[1] - y0) - (y1 - y0) * (p[0] - x0)
+
+        kept = []
+        for p, q in zip(subject, subject[1:] + subject[:1], strict=True):
+            if side(p) >= 0.0:
+                kept.append(p)
+            if side(p) * side(q) < 0.0:
+                t = side(p) / (side(p) - side(q))
+                kept.append((p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])))
+        subject = kept
+        if not subject:
+            return 0.0
+    edges = zip(subject, subject[1:] + subject[:1], strict=True)
+    return 0.5 * sum(p[0] * q[1] - q[0] * p[1] for p, q in edges)
+
+
+def damped_actions(simulator, noise=0.0, generator=None):
+    """(E, A, 1) yaw accelerations that complete the changes, crudely and, if asked, noisily."""
+    actions = [[[0.0] for _ in range(simulator.num_slots)] for _ in range(simulator.num_envs)]
+    width = simulator.scenario.road.lane_width
+    for env, slot in zip(*simulator.is_engaged.nonzero(), strict=True):
+        agent = simulator.agents[env, slot]
+        car = simulator.vehicles[env, agent["vehicle"]]
+        is_back = agent["phase"] == Phase.ABORTING
+        lane = agent["origin_lane"] if is_back else agent["target_lane"]
+        error = (lane + 0.5) * width - car["lateral_position"]
+        steering = error / max(car["speed"], 1.0) - 3.0 * (car["yaw"] + car["yaw_rate"])
+        if generator is not None:
+            steering += noise * generator.uniform(-1.0, 1.0)
+        actions[env][slot][0] = float(agent["direction"] * steering)
+    return actions
+
+
+def stage(simulator, *cars, env=0):
+    """Clear a road of its traffic and set these cars, each a dict of fields, into slots 0, 1, ...
+
+    Nobody departs any more. A car stands straight in the centre of its lane unless it says more.
+    """
+    vehicles, state = simulator.vehicles[env], simulator.state
+    vehicles["id"] = vehicles["agent"] = vehicles["changer"] = -1
+    simulator.agents[env]["vehicle"] = -1
+    simulator.agents[env]["phase"] = Phase.ABSENT
+    simulator.agents[env]["outcome"] = Outcome.UNFINISHED
+    state.lanes[env]["next_departure"] = math.inf
+    road = simulator.roads[env : env + 1]
+    for slot, fields in enumerate(cars):
+        row = vehicles[slot]
+        for name in row.dtype.names:
+            row[name] = {"id": int(road["num_entered"][0]), "agent": -1, "changer": -1}.get(name, 0)
+        row["speed"], row["desired_speed"], row["command_position"] = 20.0, 30.0, math.inf
+        row["lateral_position"] = 3.75 * (fields["lane"] + 0.5)
+        row["disposition"] = Disposition.NEUTRAL
+        for name, value in fields.items():
+            row[name] = value
+        pose = Car(**{name: row[name] for name in Car.__annotations__ if name in row.dtype.names},
+                   slot=slot)  # fmt: skip
+        lanes = Road(simulator.scenario).lanes_of(pose)
+        row["lane_low"], row["lane_high"] = lanes[0], lanes[-1]
+        road["num_entered"] += 1
+    positions = vehicles["position"][: len(cars)]
+    state.order[env, : len(cars)] = sorted(range(len(cars)), key=lambda slot: -positions[slot])
+    road["num_live"], road["num_vehicles"] = 0, len(cars)
+    road["num_left"] = road["num_entered"] - len(cars) - road["num_collided"]
+
+
+def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
+    """Give the car in a slot a command; the agent's slot."""
+    slot = int(simulator.agents[env]["vehicle"].tolist().index(-1))
+    row, road = simulator.agents[env, slot], simulator.roads[env : env + 1]
+    lane = int(simulator.vehicles[env, vehicle]["lane"])
+    row["vehicle"], row["direction"], row["phase"] = vehicle, direction, phase
+    row["origin_lane"], row["target_lane"] = lane, lane + direction
+    row["command"], row["born_step"] = road["num_commands"][0], road["step"][0]
+    row["leader"] = row["follower"] = row["target_leader"] = row["target_follower"] = -1
+    row["num_aborts"] = row["engaged_steps"] = row["episode_reward"] = 0
+    simulator.vehicles[env, vehicle]["agent"] = slot
+    road["num_live"] += 1
+    road["num_commands"] += 1
+    return slot

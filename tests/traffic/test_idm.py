@@ -1,0 +1,75 @@
+"""Car following: numbers by hand, equilibrium, a free road."""
+
+import math
+
+import pytest
+
+from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
+from marl_lanes.traffic.simulator import Simulator
+
+SCALE = 2.0 * math.sqrt(2.0 * 1.5)
+"""2 sqrt(a_m b) of the paper: 3.4641 m/s^2."""
+
+
+@pytest.mark.parametrize(
+    ("speed", "desired", "exponent", "term"),
+    [
+        (20.0, 25.0, 4.0, 0.4096),
+        (25.0, 25.0, 4.0, 1.0),
+        (0.0, 25.0, 4.0, 0.0),
+        (10.0, 20.0, 2.0, 0.25),
+        (10.0, 20.0, 1.0, 0.5),
+    ],
+)
+def test_free_road_term(speed, desired, exponent, term):
+    assert free_road_term(speed, desired, exponent) == pytest.approx(term, rel=1e-12)
+
+
+def test_interaction_term_by_hand():
+    # s* = 5 + 20 * 1 + 20 * 5/3.464102 = 53.867513; (53.867513/30)^2 = 3.224121
+    term = interaction_term(20.0, 30.0, 5.0, 5.0, 1.0, SCALE)
+    assert term == pytest.approx(3.2241211, rel=1e-6)
+
+
+def test_eq_9_takes_the_larger_term_and_the_standard_form_their_sum():
+    free, interaction = 0.4096, 3.2241211
+    assert idm_acceleration(2.0, free, interaction, 0) == pytest.approx(-4.4482422)
+    assert idm_acceleration(2.0, free, interaction, 1) == pytest.approx(-5.2674422)
+    assert idm_acceleration(2.0, free, 0.1, 0) == pytest.approx(1.1808)
+    assert idm_acceleration(2.0, free, 0.1, 1) == pytest.approx(0.9808)
+
+
+@pytest.mark.parametrize("speed", [0.0, 5.0, 20.0])
+def test_the_desired_gap_at_equal_speeds_is_s0_plus_v_t(speed):
+    term = interaction_term(speed, 5.0 + 1.2 * speed, 0.0, 5.0, 1.2, SCALE)
+    assert term == pytest.approx(1.0)
+    assert idm_acceleration(2.0, 0.3, term, 0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_leader_that_pulls_away_fast_is_no_obstacle():
+    assert interaction_term(10.0, 50.0, -1000.0, 5.0, 1.0, SCALE) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("gap", [0.0, -3.0, 1e-300])
+def test_contact_gives_a_finite_huge_term(gap):
+    term = interaction_term(20.0, gap, 0.0, 5.0, 1.0, SCALE)
+    assert 1e6 < term < math.inf
+
+
+@pytest.mark.parametrize("form", ["max", "sum"])
+def test_alone_on_the_road_a_driver_reaches_the_desired_speed(form):
+    simulator = Simulator(
+        "paper",
+        overrides={
+            "drivers": {"car_following": form},
+            "departures": {"interval": [500.0, 500.0], "desired_speed": [25.0, 25.0]},
+            "command": {"probability": 0.0},
+            "road": {"length": 5000.0},
+            "warmup": [700.0, 700.0],
+        },
+    )
+    simulator.reset()
+    cars = simulator.vehicles[0][simulator.vehicles[0]["id"] >= 0]
+    assert len(cars) > 0
+    assert cars["speed"].max() == pytest.approx(25.0, abs=0.01)
+    assert (cars["speed"] <= 25.0).all()

@@ -1,0 +1,158 @@
+"""Motion along the road, and lane keeping on it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from marl_lanes.scenario import ScenarioError, load_scenario
+from marl_lanes.traffic.kinematics import curvature_at, integrate, keep_lane, road_turn_rate
+from marl_lanes.traffic.simulator import Simulator
+
+NO_COMMANDS = {"command": {"probability": 0.0}}
+
+
+def one_arc(radius, **overrides):
+    arcs = [{"start": 0.0, "end": 900.0, "radius": radius}]
+    return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides})
+
+
+def place(simulator, **values):
+    """The first vehicle of a simulator, at rest in lane 0's centre but for ``values``."""
+    car = simulator.vehicles[0, 0]
+    for name in ("position", "acceleration", "yaw", "yaw_rate", "yaw_acceleration", "lane"):
+        car[name] = 0
+    car["lateral_position"], car["speed"] = 1.875, 20.0
+    for name, value in values.items():
+        car[name] = value
+    return car
+
+
+def advance(simulator, car, *, is_keeping=True):
+    arcs, constants = simulator.parameters.arcs, simulator.parameters.constants[0]
+    turn_rate = road_turn_rate(car, arcs)
+    if is_keeping:
+        car["yaw_acceleration"] = keep_lane(car, turn_rate, constants)
+    integrate(car, turn_rate, arcs, constants)
+
+
+def test_the_curvature_belongs_to_its_arc_alone():
+    arcs = Simulator("curved").parameters.arcs
+    places = [0.0, 149.99, 150.0, 449.99, 450.0, 550.0, 849.99, 850.0, 999.0]
+    found = [curvature_at(arcs, place) for place in places]
+    assert found == [0.0, 0.0, 0.002, 0.002, 0.0, -0.002, -0.002, 0.0, 0.0]
+
+
+def test_one_step_by_hand():
+    simulator = Simulator("paper")
+    car = place(simulator, acceleration=2.0, yaw=0.1, yaw_rate=0.2, yaw_acceleration=0.5)
+    advance(simulator, car, is_keeping=False)
+    assert car["speed"] == pytest.approx(20.2)
+    assert car["yaw_rate"] == pytest.approx(0.25)
+    assert car["yaw"] == pytest.approx(0.125)
+    assert car["position"] == pytest.approx(2.02 * math.cos(0.125))
+    assert car["lateral_position"] == pytest.approx(1.875 + 2.02 * math.sin(0.125))
+    assert car["lane_low"] == 0
+    assert car["lane_high"] == 0
+
+
+def test_vehicles_stop_and_do_not_reverse():
+    simulator = Simulator("paper")
+    car = place(simulator, speed=0.3, acceleration=-8.0, yaw=0.05, yaw_rate=0.01)
+    advance(simulator, car)
+    assert (car["speed"], car["position"], car["lateral_position"]) == (0.0, 0.0, 1.875)
+    assert car["yaw_rate"] == 0.0
+
+
+def test_the_yaw_rate_is_bounded_by_the_turning_radius():
+    simulator = Simulator("paper")
+    for sign in (1.0, -1.0):
+        car = place(simulator, speed=2.0, yaw_acceleration=sign * 100.0)
+        advance(simulator, car, is_keeping=False)
+        assert car["yaw_rate"] == pytest.approx(sign * 2.0 / 5.5)
+
+
+@pytest.mark.parametrize("radius", [150.0, -150.0, 1e9])
+def test_the_road_frame_agrees_with_the_plane(radius):
+    """The same yaw rates integrated in Cartesian coordinates lead to the same place."""
+    step = 0.01
+    simulator = one_arc(radius, time_step=step)
+    car = place(simulator, lateral_position=3.0, speed=15.0, yaw_rate=15.0 / radius)
+    # The centre of the right edge's circle is the origin; the vehicle begins on the y axis.
+    x, y, heading = 0.0, 3.0 - radius, 0.0
+    for count in range(600):
+        car["yaw_acceleration"] = 0.1 * math.sin(0.01 * count)
+        advance(simulator, car, is_keeping=False)
+        heading += car["yaw_rate"] * step
+        x += 15.0 * math.cos(heading) * step
+        y += 15.0 * math.sin(heading) * step
+    angle = math.atan2(x, -y) if radius > 0 else math.atan2(x, y)
+    distance = radius - math.copysign(math.hypot(x, y), radius)
+    assert car["position"] == pytest.approx(abs(radius) * angle, abs=0.05)
+    assert car["lateral_position"] == pytest.approx(distance, abs=0.05)
+    assert car["yaw"] == pytest.approx(heading - angle * math.copysign(1.0, radius), abs=0.002)
+    assert abs(car["lateral_position"] - 3.0) > 1.0
+
+
+@pytest.mark.parametrize("radius", [60.0, 500.0])
+def test_mirrored_arcs_give_mirrored_motion(radius):
+    """Lane 0 on the left of an edge and lane -1 on its right are mirror images."""
+    left, right = one_arc(radius), one_arc(-radius)
+    car = place(left, yaw=0.02, yaw_rate=-0.01, lateral_position=2.2)
+    image = place(right, yaw=-0.02, yaw_rate=0.01, lateral_position=-2.2, lane=-1)
+    for _ in range(200):
+        advance(left, car)
+        advance(right, image)
+        assert image["position"] == car["position"]
+        for name in ("lateral_position", "yaw", "yaw_rate", "yaw_acceleration"):
+            assert image[name] == -car[name], name
+
+
+@pytest.mark.parametrize("radius", [500.0, -500.0])
+def test_lane_keeping_holds_the_centre_through_an_arc(radius):
+    arcs = [{"start": 150.0, "end": 850.0, "radius": radius}]
+    simulator = Simulator("paper", 2, overrides={**NO_COMMANDS, "road": {"arcs": arcs}})
+    simulator.reset()
+    largest = settled = 0.0
+    for _ in range(600):
+        simulator.step()
+        cars = simulator.vehicles[simulator.vehicles["id"] >= 0]
+        error = np.abs(cars["lateral_position"] - 3.75 * (cars["lane"] + 0.5))
+        largest = max(largest, error.max())
+        # Seven seconds at 33 m/s after the arc has begun.
+        is_far_in = (cars["position"] > 400.0) & (cars["position"] < 850.0)
+        settled = max(settled, error[is_far_in].max(initial=0.0))
+    assert 0.05 < largest < 0.25
+    assert settled < 0.02
+
+
+@pytest.mark.parametrize("speed", [5.0, 15.0, 35.0])
+@pytest.mark.parametrize("lateral", [1.0, 3.0])
+def test_lane_keeping_returns_to_the_centre(speed, lateral):
+    simulator = Simulator("paper")
+    car = place(simulator, speed=speed, lateral_position=lateral, yaw=0.02, yaw_rate=0.02)
+    for _ in range(150):
+        advance(simulator, car)
+        assert abs(car["yaw_acceleration"]) <= 0.5
+    assert car["lateral_position"] == pytest.approx(1.875, abs=1e-3)
+    assert car["yaw"] == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("time_step", [0.01, 0.1, 0.125, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize("pole", [0.2, 1.5, 2.5, 3.0])
+def test_lane_keeping_is_stable_or_refused(pole, time_step):
+    fields = {
+        "time_step": time_step,
+        "lane_keeping": {"pole": pole, "max_yaw_acceleration": 5.0},
+        **NO_COMMANDS,
+    }
+    if pole * time_step > 0.5:
+        with pytest.raises(ScenarioError, match=r"lane_keeping\.pole"):
+            load_scenario("paper", fields)
+        return
+    scenario = load_scenario("paper", fields)
+    simulator = Simulator(scenario)
+    car = place(simulator, lateral_position=1.875 + 0.1)
+    for _ in range(round(15.0 / (pole * time_step))):
+        advance(simulator, car)
+    assert abs(car["lateral_position"] - 1.875) < 0.01

@@ -1,0 +1,184 @@
+"""The kernel against the oracle of reference.py, step by step from the kernel's own state."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from reference import Road, damped_actions
+
+from marl_lanes.scenario import list_scenarios
+from marl_lanes.traffic.observation import FEATURES, feature_bounds
+from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.traffic.state import Outcome, Phase
+
+EVERY_FEATURE = {"features": [feature.name for feature in FEATURES]}
+LOW, HIGH = feature_bounds(EVERY_FEATURE["features"])
+MIXED = {
+    "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
+    "followers": {"mix": {"cooperative": 1.0, "neutral": 1.0, "adversarial": 1.0}},
+    "observation": EVERY_FEATURE,
+    "command": {"probability": 0.9},
+}
+BUSY = {
+    **MIXED,
+    "road": {"num_lanes": 5, "length": 500.0},
+    "departures": {"interval": [1.0, 2.5], "initial_speed": [6.0, 14.0]},
+    "warmup": [20.0, 30.0],
+    "num_agents": None,
+    "max_vehicles": 40,
+    "num_slots": 4,
+    "horizon": None,
+}
+ARCS = [
+    {"start": 60.0, "end": 230.0, "radius": 200.0},
+    {"start": 230.0, "end": 450.0, "radius": -120.0},
+]
+
+
+OPEN_GAP = {"gap": {"minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 50.0}}
+
+
+@dataclass
+class Case:
+    """A scenario, how its agents are driven, and what must happen for the case to be worth it."""
+
+    scenario: str
+    overrides: dict
+    num_steps: int = 200
+    noise: float = 0.1
+    bias: float = 0.0
+    seed: int = 0
+    meets: tuple = (Phase.ENGAGED,)
+
+
+CASES = {
+    **{name: Case(name, {"observation": EVERY_FEATURE}, 120) for name in list_scenarios()},
+    "mixed": Case("paper", MIXED, 200, seed=1, meets=(Outcome.COMPLETED,)),
+    "settled changes": Case("settled", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
+    "sum": Case("dense", {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "sum"}}, 60),
+    "busy": Case("paper", BUSY, 100, meets=(Phase.WAITING, Phase.ENGAGED)),
+    "guard": Case(
+        "paper",
+        BUSY
+        | {
+            "followers": {"mix": {"adversarial": 1.0}},
+            "road": {"num_lanes": 5, "length": 300.0},
+            "gap": {"minimum_gap": 0.5, "time_gap": 0.1},
+        },
+        110,
+        meets=(Phase.ABORTING, Outcome.COMPLETED, Outcome.MISSED),
+    ),
+    "hostile": Case("settled", BUSY | OPEN_GAP, 150, bias=0.4, meets=(Outcome.OFF_ROAD,)),
+    "arcs": Case("paper", BUSY | {"road": {**BUSY["road"], "arcs": ARCS}}, 200, noise=0.3),
+    "coarse": Case(
+        "paper",
+        BUSY | OPEN_GAP | {"time_step": 0.25, "completion": {"max_yaw_rate": 0.05}},
+        150,
+        bias=0.4,
+        meets=(Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD),
+    ),
+    "short": Case(
+        "paper",
+        BUSY | {"horizon": 12.0, "warmup": [0.0, 0.0]},
+        130,
+        meets=(Phase.WAITING, Outcome.HORIZON),
+    ),
+}
+
+
+def close(value, expected, tolerance=1e-9):
+    return math.isclose(value, expected, rel_tol=tolerance, abs_tol=tolerance)
+
+
+def compare_vehicles(road, simulator, env):
+    count = int(simulator.roads[env]["num_vehicles"])
+    slots = simulator.state.order[env, :count].tolist()
+    assert slots == [car.slot for car in road.cars]
+    names = list(simulator.scenario.drivers.profiles)
+    for car in road.cars:
+        row = simulator.vehicles[env, car.slot]
+        for name, (kind, *_) in row.dtype.fields.items():
+            if kind == "f8":
+                assert close(row[name], getattr(car, name)), (name, car)
+        lanes = road.lanes_of(car)
+        agent = car.agent.slot if car.agent else -1
+        changer = car.changer.slot if car.changer else -1
+        expected = car.id, car.lane, lanes[0], lanes[-1], car.disposition, agent, changer
+        fields = "id", "lane", "lane_low", "lane_high", "disposition", "agent", "changer"
+        assert tuple(int(row[name]) for name in fields) == expected
+        assert names[row["profile"]] == car.profile
+    assert sum(simulator.vehicles[env]["id"] >= 0) == count
+
+
+def compare_agents(road, simulator, env):
+    for slot, row in enumerate(simulator.agents[env]):
+        agent = road.agents.get(slot)
+        seen = simulator.state.observations[env, slot]
+        if agent is None:
+            assert row["phase"] == Phase.ABSENT
+            assert row["outcome"] == Outcome.UNFINISHED
+            assert row["vehicle"] == -1
+            assert row["reward"] == 0.0
+            assert not seen.any()
+            continue
+        assert row["outcome"] == agent.outcome
+        has_ended = agent.outcome != Outcome.UNFINISHED
+        assert row["phase"] == (Phase.ABSENT if has_ended else agent.phase)
+        fields = "command", "direction", "origin_lane", "target_lane", "born_step"
+        expected = agent.command, agent.direction, agent.origin, agent.target, agent.born
+        assert tuple(int(row[name]) for name in fields) == expected
+        assert row["num_aborts"] == agent.num_aborts
+        assert row["engaged_steps"] == agent.engaged_steps
+        for term, value in agent.terms.items():
+            assert close(row[f"reward_{term}"], value), term
+        assert close(row["reward"], agent.reward)
+        assert close(row["episode_reward"], agent.episode_reward)
+        for name, other in agent.neighbors.items():
+            assert row[name] == (other.slot if other else -1), name
+        assert (seen >= LOW).all()
+        assert (seen <= HIGH).all()
+        for name, value in zip(simulator.scenario.observation.features, seen, strict=True):
+            assert close(value, agent.observation[name], 1e-6), name
+
+
+def compare_road(road, simulator, env):
+    record = simulator.roads[env]
+    assert {name: int(record[name]) for name in road.counts} == road.counts
+    assert record["random_counter"] == road.random.count
+    names = list(simulator.scenario.drivers.profiles)
+    for lane, expected in zip(simulator.state.lanes[env], road.departures, strict=True):
+        assert close(lane["next_departure"], expected[0])
+        assert close(lane["next_speed"], expected[1])
+        assert names[lane["next_profile"]] == expected[2]
+    records = simulator.state.collisions[env]
+    for back, expected in enumerate(reversed(road.collisions)):
+        row = records[(road.counts["num_collisions"] - 1 - back) % len(records)]
+        for name, value in expected.items():
+            assert close(row[name], value), name
+
+
+def follow(case):
+    """Run the case, every step held against the oracle; the phases and outcomes that occurred."""
+    simulator = Simulator(case.scenario, 2, seed=case.seed, overrides=case.overrides)
+    simulator.reset()
+    generator = np.random.default_rng(case.seed)
+    met = set()
+    for _ in range(case.num_steps):
+        roads = [Road.of(simulator, env) for env in range(2)]
+        actions = np.asarray(damped_actions(simulator, case.noise, generator)) + case.bias
+        simulator.step(actions)
+        for env, road in enumerate(roads):
+            road.step(actions[env, :, 0].tolist())
+            compare_road(road, simulator, env)
+            compare_vehicles(road, simulator, env)
+            compare_agents(road, simulator, env)
+            met |= {agent.phase for agent in road.agents.values()}
+            met |= {agent.outcome for agent in road.agents.values()}
+    return met
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_step_of_the_kernel_is_one_step_of_the_oracle(name):
+    met = follow(CASES[name])
+    assert met.issuperset(CASES[name].meets), f"this case does not meet {CASES[name].meets}: {met}"

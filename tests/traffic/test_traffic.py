@@ -1,0 +1,195 @@
+"""Traffic: entering, leaving, no vehicle lost or made, nobody collides unasked."""
+
+import numpy as np
+import pytest
+from reference import damped_actions
+
+from marl_lanes.scenario import list_scenarios
+from marl_lanes.traffic.simulator import Simulator
+
+NO_COMMANDS = {"command": {"probability": 0.0}}
+OPEN_GAP = {"gap": {"minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 100.0}}
+
+
+def present(simulator):
+    """(E, V): slots that hold a vehicle."""
+    return simulator.vehicles["id"] >= 0
+
+
+def assert_conserved(simulator):
+    roads = simulator.roads
+    gone = roads["num_left"] + roads["num_collided"]
+    assert (roads["num_entered"] == roads["num_vehicles"] + gone).all()
+    assert (present(simulator).sum(axis=1) == roads["num_vehicles"]).all()
+    assert (roads["num_off_road"] <= roads["num_left"]).all()
+    for env, count in enumerate(roads["num_vehicles"].tolist()):
+        order = simulator.state.order[env, :count]
+        assert len(set(order.tolist())) == count
+        assert (simulator.vehicles[env, order]["id"] >= 0).all()
+        assert (np.diff(simulator.vehicles[env, order]["position"]) <= 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["paper", "dense"])
+def test_ten_million_vehicle_steps_without_a_collision(name):
+    num_envs = 200 if name == "paper" else 64
+    simulator = Simulator(name, num_envs, seed=11, num_threads=1, overrides=NO_COMMANDS)
+    simulator.reset()
+    vehicle_steps = 0
+    while vehicle_steps < 10_000_000:
+        simulator.step()
+        vehicle_steps += int(simulator.roads["num_vehicles"].sum())
+    assert simulator.roads["num_collisions"].sum() == 0
+    assert simulator.roads["num_off_road"].sum() == 0
+    assert simulator.roads["num_commands"].sum() == 0
+    assert simulator.roads["num_left"].sum() > 10_000
+    assert_conserved(simulator)
+
+
+@pytest.mark.parametrize("name", ["aggressive", "defensive"])
+@pytest.mark.parametrize("form", ["max", "sum"])
+def test_no_profile_collides_in_crowded_traffic(name, form):
+    overrides = {
+        **NO_COMMANDS,
+        "drivers": {"mix": {name: 1.0}, "car_following": form},
+        "departures": {"initial_speed": [5.0, 35.0], "desired_speed": [8.0, 45.0]},
+    }
+    simulator = Simulator("dense", 16, seed=3, overrides=overrides)
+    simulator.reset()
+    for _ in range(1500):
+        simulator.step()
+    assert simulator.roads["num_collisions"].sum() == 0
+    assert simulator.vehicles["speed"][present(simulator)].min() >= 0.0
+    assert_conserved(simulator)
+
+
+@pytest.mark.parametrize("name", list_scenarios())
+def test_vehicles_are_conserved_under_random_actions(name):
+    simulator = Simulator(name, 3, seed=5, overrides={"command": {"probability": 1.0}})
+    generator = np.random.default_rng(5)
+    simulator.reset()
+    assert_conserved(simulator)
+    for _ in range(250):
+        simulator.step(generator.uniform(-1.0, 1.0, (3, simulator.num_slots, 1)))
+        assert_conserved(simulator)
+    assert simulator.roads["num_left"].sum() > 0
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.6])
+def test_vehicles_are_conserved_where_they_collide(bias):
+    overrides = {
+        **OPEN_GAP,
+        "command": {"probability": 1.0},
+        "time_step": 0.25,
+        "num_agents": None,
+        "followers": {"mix": {"adversarial": 1.0}},
+    }
+    simulator = Simulator("dense", 6, seed=8, overrides=overrides)
+    generator = np.random.default_rng(8)
+    simulator.reset()
+    for _ in range(500):
+        simulator.step(np.asarray(damped_actions(simulator, 0.3, generator)) + bias)
+        assert_conserved(simulator)
+    assert simulator.roads["num_collided"].sum() > 0
+    # A vehicle collides once, with one other or with several.
+    assert (simulator.roads["num_collided"] <= 2 * simulator.roads["num_collisions"]).all()
+
+
+def test_a_departure_waits_for_room():
+    """A queue at the road's entrance: the rear bumper of who stands there is never overlapped."""
+    overrides = {
+        **NO_COMMANDS,
+        "departures": {"interval": [0.5, 1.0], "initial_speed": [4.0, 30.0]},
+        "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
+    }
+    simulator = Simulator("dense", 8, seed=2, overrides=overrides)
+    simulator.reset()
+    was_late = 0
+    for _ in range(600):
+        entered_before = simulator.roads["num_entered"].copy()
+        simulator.step()
+        now = simulator.roads["step"] * 0.1
+        was_late += int((simulator.state.lanes["next_departure"] < now[:, None] - 0.05).sum())
+        for env in np.flatnonzero(simulator.roads["num_entered"] > entered_before):
+            cars = simulator.vehicles[env][present(simulator)[env]]
+            for lane in range(3):
+                ranked = np.sort(cars["position"][cars["lane"] == lane])
+                if ranked.size > 1 and ranked[0] == 0.0:
+                    # At least the smallest s0 of the profiles.
+                    assert ranked[1] - ranked[0] - 4.8 >= 3.0
+    assert was_late > 0
+    assert simulator.roads["num_collisions"].sum() == 0
+
+
+def test_a_full_road_makes_departures_wait():
+    overrides = {**NO_COMMANDS, "max_vehicles": 6}
+    simulator = Simulator("dense", 2, overrides=overrides)
+    simulator.reset()
+    for _ in range(800):
+        simulator.step()
+        assert (simulator.roads["num_vehicles"] <= 6).all()
+    assert (simulator.roads["num_left"] > 6).all()
+    assert_conserved(simulator)
+
+
+def test_departures_follow_the_scenario():
+    simulator = Simulator("paper", 40, seed=1, overrides={**NO_COMMANDS, "warmup": [0.0, 0.0]})
+    simulator.reset()
+    assert (simulator.roads["num_vehicles"] == 0).all()
+    fresh = []
+    for _ in range(1200):
+        entered_before = simulator.roads["num_entered"].copy()
+        simulator.step()
+        fresh.append(simulator.vehicles[simulator.vehicles["id"] >= entered_before[:, None]].copy())
+    cars = np.concatenate(fresh)
+    per_lane = np.bincount(cars["lane"], minlength=3) / 40
+    # 120 s at one in 7.5 s; where a leader has just entered slowly, somewhat fewer.
+    assert ((per_lane > 14.0) & (per_lane < 17.0)).all()
+    assert (cars["position"] == 0.0).all()
+    assert cars["lateral_position"] == pytest.approx(1.875 + 3.75 * cars["lane"])
+    assert (cars["yaw"] == 0.0).all()
+    for name, low, high in (("speed", 30.0, 50.0), ("desired_speed", 80.0, 120.0)):
+        speeds = 3.6 * cars[name]
+        assert low - 1e-9 <= speeds.min() < low + 0.2
+        assert high - 0.2 < speeds.max() <= high
+        assert speeds.mean() == pytest.approx((low + high) / 2.0, rel=0.02)
+    assert cars["command_position"].min() >= 140.0
+    assert cars["command_position"].max() <= 160.0
+
+
+def test_profiles_and_dispositions_follow_their_mixes():
+    overrides = {
+        **NO_COMMANDS,
+        "drivers": {"mix": {"normal": 2.0, "defensive": 2.0}},
+        "followers": {"mix": {"cooperative": 1.0, "adversarial": 3.0}},
+    }
+    simulator = Simulator("dense", 40, seed=1, overrides=overrides)
+    simulator.reset()
+    cars = simulator.vehicles[present(simulator)]
+    profiles = np.bincount(cars["profile"], minlength=3) / len(cars)
+    dispositions = np.bincount(cars["disposition"], minlength=3) / len(cars)
+    assert profiles == pytest.approx([0.5, 0.0, 0.5], abs=0.06)
+    assert dispositions == pytest.approx([0.25, 0.0, 0.75], abs=0.06)
+
+
+def test_a_reset_starts_from_a_road_that_carries_traffic():
+    simulator = Simulator("paper", 50, seed=4)
+    simulator.reset()
+    roads = simulator.roads
+    assert (roads["step"] == 0).all()
+    assert (roads["num_vehicles"] >= 6).all()
+    assert len(set(roads["num_vehicles"].tolist())) > 3
+    assert simulator.vehicles["position"][present(simulator)].max() > 900.0
+    # Whoever passed the command positions in the warm-up has been decided without a draw.
+    is_past = present(simulator) & (simulator.vehicles["position"] > 160.0)
+    assert np.isinf(simulator.vehicles["command_position"][is_past]).all()
+
+
+def test_the_warm_up_is_as_long_as_the_scenario_says():
+    """The first departure of a lane comes within the first interval; the ids tell the age."""
+    short = Simulator("paper", 30, overrides={"warmup": [10.0, 10.0]})
+    long = Simulator("paper", 30, overrides={"warmup": [40.0, 40.0]})
+    short.reset()
+    long.reset()
+    assert short.vehicles["position"][present(short)].max() < 250.0
+    assert long.vehicles["position"][present(long)].max() > 400.0
+    assert long.roads["num_entered"].mean() > 2.5 * short.roads["num_entered"].mean()
