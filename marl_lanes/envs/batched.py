@@ -123,7 +123,8 @@ class LaneChangeEnv(EnvBase):
             },
             shape=(num_envs,),
         )
-        self.to(self.device)
+        if self.device is not None:
+            self.to(self.device)
 
     def _group(self, **leaves: Any) -> Composite:
         shape = (self.simulator.num_envs, self.simulator.num_slots)
@@ -152,10 +153,7 @@ class LaneChangeEnv(EnvBase):
         group["truncated"] = is_truncated[..., None]
         roads = self.simulator.roads
         done = roads["is_done"].astype(np.bool_)
-        is_horizon = roads["step"] == round(
-            (self.scenario.horizon or 0.0) / self.scenario.time_step
-        )
-        is_cut = done & is_horizon & (roads["step"] > 0)
+        is_cut = roads["is_cut"].astype(np.bool_)
         return self._make_tensordict(
             group,
             done=done[:, None],

@@ -167,7 +167,7 @@ class LaneChangeParallelEnv(ParallelEnv):
     def state(self) -> NDArray[np.float32]:
         """Every vehicle on the road by decreasing position, (max_vehicles, columns) float32.
 
-        The columns are STATE_COLUMNS; rows without a vehicle are zero.
+        The columns are STATE_COLUMNS; rows without a vehicle are zero, their agent -1.
         """
         rows = np.zeros(self.state_space.shape, np.float32)
         count = int(self.simulator.roads["num_vehicles"][0])
@@ -176,6 +176,7 @@ class LaneChangeParallelEnv(ParallelEnv):
             rows[:count, column] = cars[name]
         commands = self.simulator.agents["command"][0, cars["agent"]]
         rows[:count, -1] = np.where(cars["agent"] == NONE, NONE, commands)
+        rows[count:, -1] = NONE
         return rows
 
     def close(self) -> None:
@@ -189,10 +190,12 @@ class LaneChangeParallelEnv(ParallelEnv):
                 f"actions: {agent} is live and has no action; live are {self.agents}"
             ) from None
         try:
-            (value,) = action
-            number = float(value)
-        except (TypeError, ValueError):
-            raise ValueError(f"actions[{agent!r}] = {action!r}: must have shape (1,)") from None
+            array = np.asarray(action, np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"actions[{agent!r}] = {action!r}: {error}") from None
+        if array.shape != (1,):
+            raise ValueError(f"actions[{agent!r}] = {action!r}: must have shape (1,)")
+        number = float(array[0])
         if not -np.inf < number < np.inf:
             raise ValueError(f"actions[{agent!r}] = {number}: must be finite [rad/s^2]")
         return number

@@ -60,38 +60,65 @@ class ActionBox(nn.Module):
         return action.clamp(self.low, self.high)
 
 
-class Head(nn.Sequential):
-    """A tanh network whose output starts near given values, whatever its input.
+class Heads(nn.Module):
+    """Tanh networks side by side, whose outputs start near given values, whatever the input.
+
+    They have no weights in common; one batched product a layer evaluates them together, which for
+    networks of this size costs little more than one of them.
 
     Args:
         in_features: length of the input.
-        hidden_sizes: widths of the hidden layers.
-        initial: initial outputs, one for each output.
+        hidden_sizes: widths of the hidden layers of each network.
+        initial: initial outputs, for each network the same number of them.
     """
 
     # Small, not zero: with zero weights the hidden layers would get no gradient at first.
     LAST_GAIN = 0.01
 
     def __init__(
-        self, in_features: int, hidden_sizes: Sequence[int], initial: Sequence[float]
+        self, in_features: int, hidden_sizes: Sequence[int], initial: Sequence[Sequence[float]]
     ) -> None:
-        widths = [in_features, *hidden_sizes]
-        layers: list[nn.Module] = []
-        for fan_in, fan_out in itertools.pairwise(widths):
-            layers += [nn.Linear(fan_in, fan_out), nn.Tanh()]
-        super().__init__(*layers, nn.Linear(widths[-1], len(initial)))
-        self.initial = tuple(initial)
+        super().__init__()
+        self.initial = [list(values) for values in initial]
+        widths = [in_features, *hidden_sizes, len(self.initial[0])]
+        self.num_layers = len(widths) - 1
+        for layer, (fan_in, fan_out) in enumerate(itertools.pairwise(widths)):
+            weight = torch.empty(len(self.initial), fan_in, fan_out)
+            self.register_parameter(f"weight_{layer}", nn.Parameter(weight))
+            bias = torch.empty(len(self.initial), 1, fan_out)
+            self.register_parameter(f"bias_{layer}", nn.Parameter(bias))
         self.reset_parameters()
+
+    def layer(self, index: int) -> tuple[Tensor, Tensor]:
+        """Weight (networks, in, out) and bias (networks, 1, out) of a layer."""
+        return getattr(self, f"weight_{index}"), getattr(self, f"bias_{index}")
+
+    @property
+    def last_bias(self) -> Tensor:
+        """Bias of the last layer, (networks, 1, outputs)."""
+        return self.layer(self.num_layers - 1)[1]
 
     def reset_parameters(self) -> None:
         """Draws the weights anew and sets the last layer back to the initial outputs."""
-        linears = [layer for layer in self if isinstance(layer, nn.Linear)]
-        for layer in linears:
-            layer.reset_parameters()
-        last = linears[-1]
         with torch.no_grad():
-            last.weight.mul_(self.LAST_GAIN)
-            last.bias.copy_(torch.tensor(self.initial))
+            for index in range(self.num_layers):
+                weight, bias = self.layer(index)
+                bound = weight.shape[1] ** -0.5  # that of nn.Linear
+                weight.uniform_(-bound, bound)
+                bias.uniform_(-bound, bound)
+            weight.mul_(self.LAST_GAIN)
+            bias.copy_(torch.tensor(self.initial).unsqueeze(1))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(..., in_features) to (..., networks * outputs), network by network."""
+        rows = observation.reshape(1, -1, observation.shape[-1])
+        hidden = rows.expand(len(self.initial), -1, -1)
+        for index in range(self.num_layers):
+            weight, bias = self.layer(index)
+            hidden = torch.baddbmm(bias, hidden, weight)
+            if index < self.num_layers - 1:
+                hidden = torch.tanh(hidden)
+        return hidden.transpose(0, 1).reshape(*observation.shape[:-1], -1)
 
 
 class Mu(nn.Module):
@@ -125,9 +152,7 @@ class _YawAcceleration(Mu):
 
     initial_a_max: float
 
-    def __init__(
-        self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
-    ) -> None:
+    def __init__(self, name: str, features: Sequence[str], box: ActionBox) -> None:
         super().__init__(name, features)
         if box.low.numel() != 1:
             raise ValueError(
@@ -137,14 +162,15 @@ class _YawAcceleration(Mu):
         self.bound = min(-box.low.item(), box.high.item())
         if self.bound <= 0:
             raise ValueError(f"mu {name!r} needs an action box with zero inside")
-        share = min(self.initial_a_max / self.bound, 0.9)
-        inner = max((share - A_MAX_FLOOR) / (1 - A_MAX_FLOOR), A_MAX_FLOOR)
-        self.a_max = Head(len(features), hidden_sizes, [_logit(inner)])
 
-    def limit(self, normalised: Tensor) -> Tensor:
-        """a_max in (0, bound], (..., 1) [rad/s^2]."""
-        share = torch.sigmoid(self.a_max(normalised))
-        return self.bound * (A_MAX_FLOOR + (1 - A_MAX_FLOOR) * share)
+    def initial_limit_logit(self) -> float:
+        """What `limit` maps to the initial a_max."""
+        share = min(self.initial_a_max / self.bound, 0.9)
+        return _logit(max((share - A_MAX_FLOOR) / (1 - A_MAX_FLOOR), A_MAX_FLOOR))
+
+    def limit(self, logit: Tensor) -> Tensor:
+        """a_max in (0, bound] [rad/s^2]."""
+        return self.bound * (A_MAX_FLOOR + (1 - A_MAX_FLOOR) * torch.sigmoid(logit))
 
 
 class PaperMu(_YawAcceleration):
@@ -164,18 +190,24 @@ class PaperMu(_YawAcceleration):
     def __init__(
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
-        super().__init__(name, features, box, hidden_sizes)
-        self.beta = Head(len(features), hidden_sizes, [_inverse_softplus(0.31)])
-        self.time = Head(len(features), hidden_sizes, [_inverse_softplus(3.4 - self.min_time)])
+        super().__init__(name, features, box)
+        initial = (
+            self.initial_limit_logit(),
+            _inverse_softplus(0.31),
+            _inverse_softplus(3.4 - self.min_time),
+        )
+        # The three networks of a_max, beta and T, one output each.
+        self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
 
     def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
         """The greedy yaw acceleration, (..., 1) [rad/s^2]."""
         speed, deviation, yaw = self.read(observation)
-        beta = softplus(self.beta(normalised))
-        time = self.min_time + softplus(self.time(normalised))
+        limit, beta, time = self.heads(normalised).split(1, dim=-1)
+        beta = softplus(beta)
+        time = self.min_time + softplus(time)
         # One factor 1/T taken out, so that a huge T does not overflow its square.
         demand = (deviation / time - speed * yaw) / time
-        return self.limit(normalised) * torch.tanh(beta * demand)
+        return self.limit(limit) * torch.tanh(beta * demand)
 
 
 class DampedMu(_YawAcceleration):
@@ -184,7 +216,7 @@ class DampedMu(_YawAcceleration):
     relative_yaw_rate is yaw_rate - curvature speed; the speed that divides is 1 m/s or more. The
     gains k0 = p1 p2 p3, k1 = p1 p2 + p1 p3 + p2 p3, k2 = p1 + p2 + p3 place the poles of the
     linear loop at -p1, -p2, -p3, each in [0.4, 2.4] rad/s: it settles whatever is learned.
-    One network gives the poles, initially 1.4 rad/s each, another a_max, initially 0.17 rad/s^2.
+    Four networks give the poles, initially 1.4 rad/s each, and a_max, initially 0.17 rad/s^2.
     """
 
     needs = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
@@ -195,22 +227,23 @@ class DampedMu(_YawAcceleration):
     def __init__(
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
-        super().__init__(name, features, box, hidden_sizes)
-        # The logits 0 are the middle of the poles' range.
-        self.poles = Head(len(features), hidden_sizes, [0.0, 0.0, 0.0])
+        super().__init__(name, features, box)
+        # Networks of a_max and of each pole; the logits 0 are the middle of the poles' range.
+        initial = (self.initial_limit_logit(), 0.0, 0.0, 0.0)
+        self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
 
     def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
         """The greedy yaw acceleration, (..., 1) [rad/s^2]."""
         speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
         span = self.fastest_pole - self.slowest_pole
-        poles = self.slowest_pole + span * torch.sigmoid(self.poles(normalised))
-        p1, p2, p3 = poles.split(1, dim=-1)
+        limit, *logits = self.heads(normalised).split(1, dim=-1)
+        p1, p2, p3 = (self.slowest_pole + span * torch.sigmoid(logit) for logit in logits)
         demand = (
             p1 * p2 * p3 * deviation / speed.clamp(min=self.min_speed)
             - (p1 * p2 + p1 * p3 + p2 * p3) * yaw
             - (p1 + p2 + p3) * (yaw_rate - curvature * speed)
         )
-        limit = self.limit(normalised)
+        limit = self.limit(limit)
         return limit * torch.tanh(demand / limit)
 
 
@@ -222,7 +255,7 @@ class MLPMu(Mu):
     ) -> None:
         super().__init__(name, features)
         self.box = box
-        self.action = Head(len(features), hidden_sizes, [0.0] * box.low.numel())
+        self.action = Heads(len(features), hidden_sizes, [[0.0] * box.low.numel()])
 
     def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:  # noqa: ARG002
         """The greedy action, (..., action_dim)."""

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
-from marl_lanes.naf.mu import ActionBox, Head, make_mu
+from marl_lanes.naf.mu import ActionBox, Heads, make_mu
 
 # Bounds of L in M = -L L^T: the logarithm of its diagonal, and an off-diagonal entry's ratio to
 # the diagonal entry of its row. With these the condition number of M stays below what float32
@@ -109,8 +109,8 @@ class NAFNetwork(TensorDictModuleBase):
         actions = self.action_dim
         off_diagonal = actions * (actions - 1) // 2
         logits = [INITIAL_LOG_DIAGONAL] * actions + [0.0] * off_diagonal
-        self.factor_logits = Head(len(self.features), self.hidden_sizes, logits)
-        self.value = Head(len(self.features), self.hidden_sizes, [0.0])
+        self.factor_logits = Heads(len(self.features), self.hidden_sizes, [logits])
+        self.value = Heads(len(self.features), self.hidden_sizes, [[0.0]])
 
     @property
     def action_dim(self) -> int:

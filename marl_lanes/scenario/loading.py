@@ -8,7 +8,8 @@ from typing import Any, get_args, get_origin
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from marl_lanes.scenario.schema import Scenario, Section
+from marl_lanes.scenario.fields import Section
+from marl_lanes.scenario.schema import Scenario
 
 
 class ScenarioError(ValueError):

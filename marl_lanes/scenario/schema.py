@@ -4,72 +4,23 @@ The defaults are the paper's numbers, so a YAML file names only where it differs
 may be written ``30 km/h``.
 """
 
-import re
-from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    model_validator,
+from pydantic import AfterValidator, Field, model_validator
+
+from marl_lanes.scenario.fields import (
+    Count,
+    NonNegative,
+    NonNegativeRange,
+    Positive,
+    PositiveRange,
+    Real,
+    Section,
+    Share,
+    SpeedRange,
+    has_weight,
 )
-
-_SPEED = re.compile(r"\s*([-+]?\d+(?:\.\d*)?)\s*(km/h|m/s)\s*")
-_TO_METRES_PER_SECOND = {"km/h": 1.0 / 3.6, "m/s": 1.0}
-
-
-def _parse_speed(value: Any) -> Any:
-    """Turn ``"30 km/h"`` or ``"8 m/s"`` into metres per second; leave the rest to the type."""
-    if not isinstance(value, str):
-        return value
-    match = _SPEED.fullmatch(value)
-    if match is None:
-        raise ValueError("a speed is a number in m/s or a text such as '30 km/h'")
-    return float(match[1]) * _TO_METRES_PER_SECOND[match[2]]
-
-
-def _parse_pair(value: Any) -> Any:
-    """Accept YAML's lists where the type is a pair."""
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _is_ascending(pair: tuple[float, float]) -> tuple[float, float]:
-    if pair[0] > pair[1]:
-        raise ValueError("the first number must not be above the second")
-    return pair
-
-
-Real = Annotated[float, Field(strict=True)]
-Positive = Annotated[float, Field(strict=True, gt=0.0)]
-NonNegative = Annotated[float, Field(strict=True, ge=0.0)]
-Share = Annotated[float, Field(strict=True, ge=0.0, le=1e6)]
-Count = Annotated[int, Field(strict=True)]
-Speed = Annotated[float, Field(strict=True, gt=0.0, le=70.0), BeforeValidator(_parse_speed)]
-SpeedRange = Annotated[
-    tuple[Speed, Speed], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
-]
-PositiveRange = Annotated[
-    tuple[Positive, Positive], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
-]
-NonNegativeRange = Annotated[
-    tuple[NonNegative, NonNegative], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
-]
-
-
-def _has_weight(mix: Mapping[Any, float]) -> Mapping[Any, float]:
-    if not sum(mix.values()) > 0.0:
-        raise ValueError("the shares must sum to more than 0")
-    return mix
-
-
-class Section(BaseModel):
-    """Fields that refuse unknown keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Arc(Section):
@@ -161,7 +112,7 @@ class Drivers(Section):
         max_length=16,
         description="IDM parameter sets by name [map], 1 to 16",
     )
-    mix: Annotated[dict[str, Share], AfterValidator(_has_weight)] = Field(
+    mix: Annotated[dict[str, Share], AfterValidator(has_weight)] = Field(
         default={"normal": 1.0},
         description="share of each profile [1], 0 to 1e6, names from profiles, not all 0",
     )
@@ -253,7 +204,7 @@ Disposition = Literal["cooperative", "neutral", "adversarial"]
 class Followers(Section):
     """What the vehicle behind an engaged changer in its target lane does."""
 
-    mix: Annotated[dict[Disposition, Share], AfterValidator(_has_weight)] = Field(
+    mix: Annotated[dict[Disposition, Share], AfterValidator(has_weight)] = Field(
         default={"neutral": 1.0},
         description="share of each disposition [1]: cooperative, neutral, adversarial; 0 to "
         "1e6, not all 0",

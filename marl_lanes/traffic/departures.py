@@ -100,7 +100,7 @@ def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: A
     road.step = -math.ceil(warmup / constants.time_step)
     road.num_vehicles = road.num_entered = road.num_left = road.num_off_road = 0
     road.num_collided = road.num_collisions = 0
-    road.num_commands = road.num_live = road.is_done = 0
+    road.num_commands = road.num_live = road.is_done = road.is_cut = 0
     now = road.step * constants.time_step
     for lane in range(lanes.shape[0]):
         schedule(road, lanes[lane], now, profiles, constants)

@@ -47,8 +47,8 @@ class Simulator:
         num_threads: int | None = None,
         overrides: Mapping[str, Any] | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: must be at least 1")
+        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, at least 1")
         if num_threads is not None and num_threads < 1:
             raise ValueError(f"num_threads = {num_threads}: must be at least 1, or None")
         self.scenario = load_scenario(scenario, overrides)

@@ -111,6 +111,7 @@ ROAD: Table = (
     ("num_commands", "i8", "1", "commands given in this episode"),
     ("num_live", "i8", "1", "agents live now"),
     ("is_done", "i8", "1", "1 once the episode is over"),
+    ("is_cut", "i8", "1", "1 once it is over by the horizon, with commands unfinished or ungiven"),
 )
 
 LANE: Table = (

@@ -248,6 +248,8 @@ def run(
                 give_commands(road, cars, ranks, live, p)
             if road.num_live > 0:
                 renew(road, cars, ranks, live, seen, arcs, features, p)
-            is_last_over = road.num_commands == p.num_agents > 0 and road.num_live == 0
-            if is_last_over or road.step == p.horizon_steps > 0:
+            if road.num_commands == p.num_agents > 0 and road.num_live == 0:
                 road.is_done = 1
+            elif road.step == p.horizon_steps > 0:
+                road.is_done = 1
+                road.is_cut = 1

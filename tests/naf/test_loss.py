@@ -204,7 +204,7 @@ def test_reset_parameters_recursive():
         for name in ("value", "factor_logits"):
             assert all(v.abs().max() < 1 for v in params[name].values(True, True))
         # The initial outputs come back, too.
-        assert params["factor_logits", "2", "bias"].tolist() == [0.5, 0.5, 0.0]
+        assert params["factor_logits", "bias_1"].flatten().tolist() == [0.5, 0.5, 0.0]
 
 
 def test_gamma_and_network_are_checked():

@@ -70,7 +70,7 @@ def test_truncation_bootstraps_and_termination_does_not():
             (loss.target_value_network_params, -3.0),
         ):
             params["value"].apply_(lambda p: p.zero_())
-            params["value", "2", "bias"].fill_(value)
+            params["value", "bias_1"].fill_(value)
     data = make_data(3)
     greedy = loss.value_network(data.select("observation"))["greedy_action"].detach()
     data["action"] = greedy  # Q(s, a) = V(s) = 2
@@ -147,7 +147,7 @@ def test_updaters():
         for parameter in loss.parameters():
             parameter += 1
     hard.step()
-    key = ("value", "0", "bias")
+    key = ("value", "bias_0")
     online, target = loss.value_network_params, loss.target_value_network_params
     assert not torch.equal(online[key], target[key])
     hard.step()

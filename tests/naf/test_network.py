@@ -189,8 +189,8 @@ def test_initial_paper_mu():
     torch.testing.assert_close(found, expected, rtol=0.05, atol=0)
     # The transition time never falls below 1.5 s.
     with torch.no_grad():
-        mu.time[-1].bias.fill_(-1e30)
-        mu.beta[-1].bias.fill_(math.log(math.expm1(0.31)))
+        mu.heads.last_bias[2].fill_(-1e30)
+        mu.heads.last_bias[1].fill_(math.log(math.expm1(0.31)))
     found = mu(observation, normalised)[1]
     expected = 0.25 * math.tanh(0.31 * -1 / 1.5**2)
     assert found.item() == pytest.approx(expected, rel=0.05)
@@ -255,7 +255,7 @@ def test_damped_mu_settles_and_the_papers_does_not():
 def test_damped_mu_settles_at_the_ends_of_its_gains(poles):
     network = make_network("damped")
     with torch.no_grad():
-        network.mu.poles[-1].bias.fill_(poles)
+        network.mu.heads.last_bias[1:].fill_(poles)
     assert max(map(abs, lane_change(network)[-100:])) < 0.01
 
 
@@ -270,7 +270,7 @@ def test_policy_shares_mu_and_evaluates_nothing_else():
     network.factor_logits = network.value = None  # calling either would raise
     torch.testing.assert_close(policy(data)["changers", "action"], expected)
     with torch.no_grad():
-        network.mu.a_max[-1].bias.fill_(-1e30)
+        network.mu.heads.last_bias[0].fill_(-1e30)
     assert policy(data)["changers", "action"].abs().max() < 0.01
 
 

@@ -1,0 +1,368 @@
+"""The TorchRL environment: specs, resets, agents in slots, ends, collectors."""
+
+import copy
+import pickle
+
+import pytest
+import torch
+from tensordict import TensorDict, assert_close
+from tensordict.nn import TensorDictModule
+from torchrl.envs.utils import check_env_specs
+
+from marl_lanes import LaneChangeEnv, ScenarioError
+from marl_lanes.traffic.state import Outcome
+
+torch.set_num_threads(1)
+
+BUSY = {
+    "num_agents": None,
+    "horizon": None,
+    "departures": {"interval": [1.5, 3.0]},
+    "command": {"probability": 1.0},
+    "num_slots": 3,
+}
+SHORT = {"num_agents": 2, "departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
+LONG = 100_000
+PLAIN = {"track_traj_ids": False, "auto_register_policy_transforms": False}
+"""A collector that keeps no trajectory ids: agents end, and slots change hands, inside a road."""
+
+collector_warnings = pytest.mark.filterwarnings(
+    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+)
+
+
+def _steer(observation):
+    """Feedback of the paper's features toward the target lane."""
+    speed, _, deviation, yaw, yaw_rate, curvature = observation.unbind(-1)
+    wanted = (0.5 * deviation).clamp(-2.0, 2.0) / speed.clamp(min=1.0)
+    action = 2.0 * (wanted - yaw) - 2.0 * (yaw_rate - curvature * speed)
+    return action.clamp(-0.5, 0.5).unsqueeze(-1)
+
+
+def _steer_badly(observation):
+    """The same at most speeds, full to one side at the others."""
+    return torch.where(observation[..., :1] % 5.0 < 2.0, 0.5, _steer(observation))
+
+
+def policy(function):
+    return TensorDictModule(function, [("changers", "observation")], [("changers", "action")])
+
+
+steer = policy(_steer)
+hold = policy(lambda observation: torch.zeros_like(observation[..., :1]))
+
+
+def roll(env, steps, module=steer, **kwargs):
+    return env.rollout(steps, module, break_when_any_done=False, **kwargs)
+
+
+def road_bytes(env, road):
+    return [array[road].tobytes() for array in env.simulator.state.arrays]
+
+
+def assert_equal(one, other):
+    assert_close(one, other, rtol=0.0, atol=0.0)
+
+
+@pytest.fixture(scope="module")
+def busy():
+    """Two roads without end, their three slots in steady use; many changes fail."""
+    careless = {"minimum_gap": 0.0, "time_gap": 0.0}
+    env = LaneChangeEnv("adversarial", 2, overrides={**BUSY, "gap": careless}, seed=1)
+    return roll(env, 1500, policy(_steer_badly))
+
+
+@pytest.mark.parametrize("num_envs", [1, 4])
+@pytest.mark.parametrize("scenario", ["paper", "dense", "curved", "five_lanes", "settled"])
+def test_it_passes_torchrls_spec_check(scenario, num_envs):
+    env = LaneChangeEnv(scenario, num_envs)
+    check_env_specs(env)
+    check_env_specs(env, break_when_any_done="both")
+    num_slots = env.scenario.num_slots
+    assert env.batch_size == (num_envs,)
+    assert env.group_map == {"changers": [f"changer_{slot}" for slot in range(num_slots)]}
+    assert env.action_spec["changers", "action"].shape == (num_envs, num_slots, 1)
+    assert env.observation_spec["changers", "observation"].shape == (num_envs, num_slots, 6)
+    assert env.device == torch.device("cpu")
+
+
+@pytest.mark.parametrize("module", [steer, hold], ids=["steer", "hold"])
+def test_a_seed_gives_the_same_rollout(module):
+    used, fresh = LaneChangeEnv("dense", 2, seed=8), LaneChangeEnv("dense", 2, seed=3)
+    first = roll(fresh, 300, module)
+    roll(used, 500)
+    used.set_seed(3)
+    again = roll(used, 300, module)
+    assert first["next", "changers", "mask"].any()
+    assert_equal(first, again)
+    used.set_seed(4)
+    assert not (roll(used, 300)["changers", "mask"] == first["changers", "mask"]).all()
+    following = roll(fresh, 300, module)
+    assert not (following["changers", "mask"] == first["changers", "mask"]).all()
+
+
+def test_roads_differ_and_do_not_depend_on_their_number():
+    few, many = LaneChangeEnv("paper", 2, seed=3), LaneChangeEnv("paper", 5, seed=3)
+    steps = roll(many, 300)
+    assert_equal(roll(few, 300), steps[:2])
+    masks = steps["changers", "mask"].flatten(1)
+    assert len(torch.unique(masks, dim=0)) == 5
+
+
+def test_a_partial_reset_leaves_the_other_roads_alone():
+    env, twin = (LaneChangeEnv("dense", 3, overrides={"num_slots": 4}) for _ in range(2))
+    last, same = (roll(one, 400)[:, -1]["next"] for one in (env, twin))
+    before = [road_bytes(env, road) for road in range(3)]
+    assert last["changers", "mask"].any(1).all()
+    asked = same.exclude(("changers", "reward"))
+    asked["_reset"] = torch.tensor([[False], [True], [False]])
+    after = env.reset(asked)
+    assert [road_bytes(env, road) == before[road] for road in range(3)] == [True, False, True]
+    kept = torch.tensor([0, 2])
+    for key in ("observation", "mask", "engaged", "episode_reward", "outcome"):
+        assert torch.equal(after["changers", key][kept], last["changers", key][kept])
+    assert env.simulator.roads["step"].tolist() == [400, 0, 400]
+    assert not after["changers", "outcome"][1].any()
+    assert not after["changers", "episode_reward"][1].any()
+    # The other roads go on as on a twin that was not reset.
+    ahead = env.rollout(100, steer, auto_reset=False, tensordict=after, break_when_any_done=False)
+    there = twin.rollout(
+        100,
+        steer,
+        auto_reset=False,
+        tensordict=same.exclude(("changers", "reward"), "_reset"),
+        break_when_any_done=False,
+    )
+    assert_equal(ahead["next"][kept], there["next"][kept])
+    assert ahead["next", "changers", "mask"][kept].any()
+    assert env.simulator.roads["step"].tolist() == [500, 100, 500]
+
+
+def test_a_reset_of_every_road_and_of_none():
+    env = LaneChangeEnv("paper", 2)
+    roll(env, 20)
+    state = env.simulator.state.tobytes()
+    assert env.simulator.roads["step"].tolist() == [20, 20]
+    env.simulator.reset([False, False])
+    assert env.simulator.state.tobytes() == state
+    env.reset(TensorDict({"_reset": torch.ones(2, 1, dtype=torch.bool)}, [2]))
+    assert env.simulator.roads["step"].tolist() == [0, 0]
+    with pytest.raises(ValueError, match="mask: shape"):
+        env.simulator.reset([True])
+
+
+def test_slots_serve_one_command_after_the_other(busy):
+    mask, after = busy["changers", "mask"], busy["next", "changers", "mask"]
+    done = busy["next", "changers", "done"].squeeze(-1)
+    assert (done <= mask).all()
+    assert not (done & after).any()
+    assert torch.equal(mask & ~done, mask & after)
+    assert torch.equal(mask[:, 1:], after[:, :-1])
+    # A pulse: the slot is absent, and its flags are down, in the step after an end.
+    assert not (done[:, 1:] & done[:, :-1]).any()
+    assert not (after[:, :-1] & done[:, :-1]).any()
+    assert done.sum(1).min() >= 2
+    births = (after & ~mask).sum(1)
+    assert ((births - done.sum(1)).abs() <= 1).all()
+
+
+def test_absent_slots_are_zero_and_the_ended_keep_their_last_features(busy):
+    mask, group, after = busy["changers", "mask"], busy["changers"], busy["next", "changers"]
+    done = after["done"].squeeze(-1)
+    is_there = after["mask"] | done
+    assert not after["observation"][~is_there].any()
+    # Speeds are never 0 on this road: a live agent sees something.
+    assert (after["observation"][is_there][:, 0] > 0.0).all()
+    for key in ("engaged", "outcome"):
+        assert not group[key][~mask & ~(group["outcome"] > 0)].any()
+        assert not after[key][~is_there].any()
+    assert not after["reward"][~mask].any()
+    moved = (after["observation"] - group["observation"])[done]
+    assert (moved[:, 2].abs() < 1.0).all()
+
+
+def test_only_steering_agents_are_rewarded(busy):
+    engaged, mask = busy["changers", "engaged"], busy["changers", "mask"]
+    reward = busy["next", "changers", "reward"].squeeze(-1)
+    outcome = busy["next", "changers", "outcome"]
+    assert (engaged <= mask).all()
+    assert (mask & ~engaged).any()
+    is_failure = (outcome == Outcome.COLLISION) | (outcome == Outcome.OFF_ROAD)
+    assert not reward[~engaged & ~is_failure].any()
+    assert (reward[is_failure] <= -10.0).all()
+    assert (reward[~is_failure] > -10.0).all()
+    assert (reward[engaged] < 0.0).float().mean() > 0.99
+
+
+def test_the_episode_reward_starts_again_with_each_command(busy):
+    mask, before = busy["changers", "mask"], busy["changers", "episode_reward"]
+    after, reward = busy["next", "changers", "episode_reward"], busy["next", "changers", "reward"]
+    is_newborn = busy["next", "changers", "mask"] & ~mask
+    assert not after[is_newborn].any()
+    assert is_newborn.sum() > 10
+    torch.testing.assert_close(after[mask], (before + reward)[mask], rtol=1e-5, atol=1e-5)
+    assert (before[mask] < -1.0).any()
+
+
+def test_outcomes_end_the_agents_as_they_should(busy):
+    after = busy["next", "changers"]
+    outcome = after["outcome"]
+    terminating = [Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD]
+    terminated = torch.isin(outcome, torch.tensor([int(value) for value in terminating]))
+    assert torch.equal(after["terminated"].squeeze(-1), terminated)
+    assert torch.equal(after["truncated"].squeeze(-1), outcome == Outcome.MISSED)
+    assert torch.equal(after["done"], after["terminated"] | after["truncated"])
+    assert set(terminating) <= set(outcome.unique().tolist())
+    assert not busy["next", "done"].any()
+
+
+def test_a_missed_command_is_truncated():
+    env = LaneChangeEnv("dense", 1, overrides={"gap": {"minimum_gap": 500.0}, "num_agents": 2})
+    steps = env.rollout(LONG, hold)
+    after = steps["next", "changers"]
+    ends = after["done"].squeeze(-1)
+    assert after["outcome"][ends].tolist() == [Outcome.MISSED] * 2
+    assert after["truncated"][ends].all()
+    assert not after["terminated"].any()
+    assert not steps["changers", "engaged"].any()
+    # The road's episode is over because its commands are.
+    assert bool(steps["next", "terminated"][0, -1])
+    assert not steps["next", "truncated"].any()
+
+
+def test_the_last_command_terminates_a_road():
+    env = LaneChangeEnv("paper", 1, overrides=SHORT)
+    steps = env.rollout(LONG, steer)
+    done = steps["next", "done"].flatten()
+    assert done.tolist() == [False] * (len(done) - 1) + [True]
+    assert torch.equal(steps["next", "terminated"], steps["next", "done"])
+    assert not steps["next", "truncated"].any()
+    assert steps["next", "changers", "done"].sum() == 2
+    assert steps["next", "changers", "done"][0, -1].any()
+
+
+def test_the_horizon_truncates_agents_and_road():
+    env = LaneChangeEnv("paper", 2, overrides={**BUSY, "horizon": 30.0})
+    steps = env.rollout(LONG, hold)
+    assert steps.shape == (2, 300)
+    last = steps[:, -1]
+    live = last["changers", "mask"]
+    is_cut = last["next", "changers", "outcome"] == Outcome.HORIZON
+    assert is_cut.any(1).all()
+    assert (is_cut <= live).all()
+    assert last["next", "changers", "truncated"].squeeze(-1)[is_cut].all()
+    assert not last["next", "changers", "terminated"].squeeze(-1)[is_cut].any()
+    assert not last["next", "changers", "mask"].any()
+    assert last["next", "truncated"].all()
+    assert last["next", "done"].all()
+    assert not last["next", "terminated"].any()
+    assert not steps[:, :-1]["next", "done"].any()
+
+
+@collector_warnings
+def test_a_collector_resets_each_road_at_its_end():
+    from torchrl.collectors import Collector
+
+    env = LaneChangeEnv("paper", 3, overrides=SHORT)
+    collector = Collector(env, steer, frames_per_batch=600, total_frames=3000, **PLAIN)
+    steps = torch.cat([batch.clone() for batch in collector], 1)
+    collector.shutdown()
+    assert steps.shape == (3, 1000)
+    done = steps["next", "done"].squeeze(-1)
+    mask, after = steps["changers", "mask"], steps["next", "changers", "mask"]
+    assert done.sum(1).min() >= 2
+    ends = steps["next", "changers", "done"].squeeze(-1).cumsum(1).sum(2)
+    assert torch.equal(ends[done] % 2, torch.zeros_like(ends[done]))
+    assert torch.isin(ends[:, -1] - 2 * done.sum(1), torch.tensor([0, 1])).all()
+    # After an end the road starts anew; elsewhere it goes on.
+    assert (steps["next", "changers", "outcome"][done] > 0).any(1).all()
+    assert not steps["changers", "outcome"][:, 1:][done[:, :-1]].any()
+    assert torch.equal(mask[:, 1:][~done[:, :-1]], after[:, :-1][~done[:, :-1]])
+    assert not (done.all(0)).any()
+
+
+@collector_warnings
+def test_a_collector_runs_roads_without_end():
+    from torchrl.collectors import Collector
+
+    env = LaneChangeEnv("paper", 2, overrides=BUSY, seed=5)
+    expected = roll(env, 400)
+    env.set_seed(5)
+    collector = Collector(env, steer, frames_per_batch=200, total_frames=800, **PLAIN)
+    steps = torch.cat([batch.clone() for batch in collector], 1)
+    collector.shutdown()
+    assert not steps["next", "done"].any()
+    assert steps["next", "changers", "done"].any()
+    for key in ("observation", "reward", "mask", "outcome"):
+        assert torch.equal(steps["next", "changers", key], expected["next", "changers", key])
+
+
+def test_returned_tensors_are_nobody_elses():
+    env, twin = (LaneChangeEnv("paper", 2, overrides=BUSY) for _ in range(2))
+    current, same = env.reset(), twin.reset()
+    frames, copies = [], []
+    for _ in range(150):
+        frames.append(env.step(steer(current))["next"])
+        copies.append(frames[-1].clone())
+        current = frames[-1].select(*env.observation_spec.keys(True, True)).clone()
+    assert copies[-1]["changers", "mask"].any()
+    for frame, saved in zip(frames, copies, strict=True):
+        assert_equal(frame, saved)
+    # Writing over what came back changes neither the road nor later frames.
+    for saved in copies:
+        after = twin.step(steer(same))["next"]
+        assert_equal(after, saved)
+        same = after.select(*env.observation_spec.keys(True, True)).clone()
+        for leaf in after.values(True, True):
+            leaf.fill_(1)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
+def test_a_copy_goes_on_by_itself(duplicate):
+    env = LaneChangeEnv("paper", 2, overrides=BUSY)
+    last = roll(env, 150)[:, -1]["next"].exclude(("changers", "reward"))
+    twin = duplicate(env)
+    frozen = env.simulator.state.tobytes()
+
+    def go_on(one):
+        return roll(one, 80, auto_reset=False, tensordict=last.clone())
+
+    ahead = go_on(twin)
+    assert env.simulator.state.tobytes() == frozen
+    assert_equal(ahead, go_on(env))
+    assert ahead["next", "changers", "engaged"].any()
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(ScenarioError, match="scenario 'nowhere': no such scenario"):
+        LaneChangeEnv("nowhere")
+    with pytest.raises(ScenarioError, match="num_slots = 0"):
+        LaneChangeEnv(overrides={"num_slots": 0})
+    with pytest.raises(ValueError, match="num_envs = 0"):
+        LaneChangeEnv(num_envs=0)
+    with pytest.raises(ValueError, match="seed = -1"):
+        LaneChangeEnv(seed=-1)
+
+
+def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
+    env, twin = (LaneChangeEnv("paper", 1, overrides=BUSY) for _ in range(2))
+
+    def step(one, action):
+        return one.step(TensorDict({"changers": {"action": action}}, [1]))["next"]
+
+    env.reset()
+    twin.reset()
+    steering = torch.zeros(1, 3, 1, dtype=torch.bool)
+    while not steering.any() or steering.all():
+        steering = step(env, torch.zeros(1, 3, 1))["changers", "engaged"].unsqueeze(-1)
+        step(twin, torch.zeros(1, 3, 1))
+    after = step(env, torch.where(steering, 9.0, float("nan")))
+    assert_equal(after, step(twin, torch.where(steering, 0.5, -0.5)))
+    with pytest.raises(ValueError, match=r"actions\[0, \d\] = nan: must be a finite"):
+        step(env, torch.where(steering, float("nan"), 0.0))
+
+
+def test_the_device_may_be_left_open():
+    env = LaneChangeEnv("paper", 1, device=None)
+    assert env.rollout(2).device is None
+    assert LaneChangeEnv("paper", 1, device="cpu").rollout(2).device == torch.device("cpu")

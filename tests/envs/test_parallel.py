@@ -1,0 +1,400 @@
+"""The PettingZoo environment, held to PettingZoo's own tests and to whole episodes."""
+
+import itertools
+import warnings
+from collections import Counter
+
+import numpy as np
+import pytest
+import torch
+
+from marl_lanes import ScenarioError, env, list_scenarios, parallel_env
+from marl_lanes.envs.parallel import STATE_COLUMNS
+from marl_lanes.traffic.state import NONE, Outcome, Phase
+
+with warnings.catch_warnings():
+    # Where pygame is installed, PettingZoo's tests import one of its games in a deprecated way.
+    warnings.filterwarnings("ignore", "The old environment creation API", DeprecationWarning)
+    from pettingzoo.test import (
+        api_test,
+        parallel_api_test,
+        parallel_seed_test,
+        performance_benchmark,
+        seed_test,
+    )
+
+torch.set_num_threads(1)
+
+BUSY = {"departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
+TERMS = ("reward_acceleration", "reward_yaw_rate", "reward_deviation", "reward_failure")
+TERMINATING = {Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD}
+LONG = 100_000
+
+
+def steer(observation):
+    """Feedback of the paper's features toward the target lane; it completes most changes."""
+    speed, _, deviation, yaw, yaw_rate, curvature = observation.tolist()
+    wanted = min(max(0.5 * deviation, -2.0), 2.0) / max(speed, 1.0)
+    action = 2.0 * (wanted - yaw) - 2.0 * (yaw_rate - curvature * speed)
+    return np.array([action], np.float32)
+
+
+def random_policy(seed):
+    rng = np.random.default_rng(seed)
+    return lambda _: rng.uniform(-0.5, 0.5, 1).astype(np.float32)
+
+
+def hold(_):
+    return np.zeros(1, np.float32)
+
+
+POLICIES = {"steer": steer, "hold": hold}
+
+
+def play(road, policy=steer, **reset):
+    """Steps of an episode: the agents before each, and what the reset and the steps returned."""
+    observations, infos = road.reset(**reset)
+    empty = dict.fromkeys(observations, 0.0), dict.fromkeys(observations, False)
+    frames = [([], observations, empty[0], empty[1], empty[1], infos)]
+    for _ in range(LONG):
+        if not road.agents:
+            return frames
+        before = list(road.agents)
+        actions = {agent: policy(observations[agent]) for agent in before}
+        observations, *others = road.step(actions)
+        frames.append((before, observations, *others))
+    raise AssertionError("the episode does not end")
+
+
+def transcript(road, policy=steer, **reset):
+    """Every byte that an episode returns, state() included."""
+    observations, infos = road.reset(**reset)
+    lines = [repr(infos)]
+    while road.agents:
+        lines += [f"{name}:{seen.tobytes().hex()}" for name, seen in observations.items()]
+        lines.append(road.state().tobytes().hex())
+        actions = {agent: policy(observations[agent]) for agent in road.agents}
+        observations, *others = road.step(actions)
+        lines.append(repr(others))
+    return lines
+
+
+def until_engaged(road, seed=0):
+    observations, infos = road.reset(seed=seed)
+    while not any(info["phase"] == Phase.ENGAGED for info in infos.values()):
+        observations, _, _, _, infos = road.step({agent: hold(None) for agent in road.agents})
+    return observations, infos
+
+
+@pytest.mark.parametrize("scenario", ["paper", "dense", "five_lanes"])
+def test_it_passes_the_parallel_api_test(scenario):
+    parallel_api_test(parallel_env(scenario), num_cycles=LONG)
+
+
+@pytest.mark.parametrize("scenario", ["paper", "dense"])
+def test_its_aec_form_passes_the_api_test(scenario):
+    api_test(env(scenario), num_cycles=1000)
+
+
+def test_it_passes_the_seed_tests():
+    seed_test(env)
+    parallel_seed_test(parallel_env)
+
+
+def test_its_aec_form_runs_the_performance_benchmark(capsys):
+    performance_benchmark(env())
+    assert "Finished performance benchmark" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("scenario", ["paper", "dense"])
+@pytest.mark.parametrize("policy", POLICIES)
+def test_a_seed_gives_the_same_bytes_over_a_whole_episode(scenario, policy):
+    used = parallel_env(scenario, seed=9)
+    play(used)
+    first = transcript(parallel_env(scenario), POLICIES[policy], seed=3)
+    assert first == transcript(used, POLICIES[policy], seed=3)
+    assert first == transcript(parallel_env(scenario, seed=3), POLICIES[policy])
+    assert first != transcript(used, POLICIES[policy], seed=4)
+    assert transcript(used, seed=0) == transcript(parallel_env(scenario))
+
+
+def test_a_reset_without_a_seed_goes_on_in_the_stream():
+    one, other = parallel_env(seed=5), parallel_env()
+    first = [transcript(one), transcript(one), transcript(one)]
+    assert len({"".join(lines) for lines in first}) == 3
+    assert first == [transcript(other, seed=5), transcript(other), transcript(other)]
+
+
+@pytest.mark.parametrize("scenario", list_scenarios())
+def test_an_episode_is_its_commands_each_born_and_finished_once(scenario):
+    road = parallel_env(scenario)
+    live, ended, idle_steps = [], [], 0
+    for before, _, _, terminations, truncations, infos in play(road, seed=1):
+        assert sorted(live) == sorted(before)
+        newborn = sorted(set(infos) - set(before), key=road.possible_agents.index)
+        assert set(before) <= set(infos)
+        over = [name for name in infos if terminations[name] or truncations[name]]
+        assert not set(newborn) & set(live + ended + over)
+        ended += over
+        live = [name for name in live + newborn if name not in over]
+        idle_steps += not set(before) - set(over)
+    assert Counter(ended) == Counter(road.possible_agents)
+    assert not live
+    assert road.possible_agents == [f"changer_{k}" for k in range(10)]
+    assert road.simulator.roads["is_done"][0] == 1
+
+
+def test_idle_traffic_is_run_through():
+    road = parallel_env()
+    observations, _ = road.reset(seed=0)
+    skipped = 0
+    while road.agents:
+        before = int(road.simulator.roads["step"][0])
+        observations = road.step({agent: steer(observations[agent]) for agent in road.agents})[0]
+        assert road.agents or road.simulator.roads["is_done"][0]
+        assert sorted(road.agents, key=road.possible_agents.index) == road.agents
+        skipped += int(road.simulator.roads["step"][0]) - before > 1
+    assert skipped > 3
+
+
+@pytest.mark.parametrize("fixed_agents", [False, True])
+def test_the_horizon_truncates_every_live_agent(fixed_agents):
+    overrides = {**BUSY, "horizon": 20.0, "num_agents": 1000}
+    road = parallel_env(overrides=overrides, fixed_agents=fixed_agents)
+    before, _, _, terminations, truncations, infos = play(road, hold, seed=0)[-1]
+    outcomes = [infos[agent]["outcome"] for agent in before]
+    assert outcomes.count(Outcome.HORIZON) > 1
+    assert road.simulator.roads["step"][0] == 200
+    assert all(terminations[agent] != truncations[agent] for agent in before)
+    if fixed_agents:
+        assert all(truncations[name] or terminations[name] for name in road.possible_agents)
+
+
+def test_a_newborn_is_in_every_dict_with_reward_zero():
+    born = 0
+    road = parallel_env("dense", overrides={**BUSY, "num_agents": 30})
+    for before, observations, rewards, terminations, truncations, infos in play(road, hold, seed=2):
+        names = set(infos)
+        assert before == sorted(before, key=road.possible_agents.index)
+        assert all(set(part) == names for part in (observations, rewards, terminations))
+        assert set(truncations) == names
+        for name in names - set(before):
+            born += 1
+            assert rewards[name] == 0.0
+            assert not terminations[name]
+            assert not truncations[name]
+            assert infos[name]["phase"] in {Phase.WAITING, Phase.ENGAGED}
+    assert born == 30
+
+
+@pytest.mark.parametrize("policy", [steer, hold, random_policy(0)])
+def test_rewards_are_the_sum_of_the_terms_and_only_steering_pays(policy):
+    road = parallel_env("dense", overrides={"num_agents": 30})
+    phases, paid = {}, 0
+    for before, _, rewards, _, _, infos in play(road, policy, seed=4):
+        for name in before:
+            info = infos[name]
+            terms = [info[term] for term in TERMS]
+            assert rewards[name] == pytest.approx(sum(terms), abs=1e-12)
+            assert max(terms) <= 0.0
+            is_failure = info["outcome"] in {Outcome.COLLISION, Outcome.OFF_ROAD}
+            assert info["reward_failure"] == (-10.0 if is_failure else 0.0)
+            if phases[name] == Phase.WAITING:
+                assert rewards[name] == info["reward_failure"]
+            else:
+                paid += rewards[name] < 0.0
+        phases.update({name: info["phase"] for name, info in infos.items()})
+    assert paid > 100
+
+
+def test_outcomes_agree_with_terminations_and_truncations():
+    seen = set()
+    cases = itertools.product(["dense", "paper"], [steer, hold, random_policy(0)])
+    for scenario, policy in cases:
+        road = parallel_env(scenario, overrides={"num_agents": 40, "horizon": 60.0})
+        for _, _, _, terminations, truncations, infos in play(road, policy, seed=0):
+            for name, info in infos.items():
+                outcome = info["outcome"]
+                assert terminations[name] == (outcome in TERMINATING)
+                assert truncations[name] == (outcome in {Outcome.MISSED, Outcome.HORIZON})
+                assert (info["phase"] == Phase.ABSENT) == (outcome != Outcome.UNFINISHED)
+                seen.add(Outcome(int(outcome)))
+    assert seen == set(Outcome)
+
+
+@pytest.mark.parametrize(
+    ("action", "problem"),
+    [
+        (None, r"must have shape \(1,\)"),
+        (0.1, r"must have shape \(1,\)"),
+        (np.zeros((1, 1)), r"must have shape \(1,\)"),
+        (np.zeros(2), r"must have shape \(1,\)"),
+        (np.zeros(0), r"must have shape \(1,\)"),
+        (np.array([np.nan]), "must be finite"),
+        (np.array([np.inf]), "must be finite"),
+    ],
+)
+def test_a_bad_action_is_refused_by_the_agents_name(action, problem):
+    road, twin = parallel_env(), parallel_env()
+    until_engaged(road)
+    until_engaged(twin)
+    (agent,) = road.agents
+    with pytest.raises(ValueError, match=rf"actions\['{agent}'\].*{problem}"):
+        road.step({agent: action})
+    # The refused step has changed nothing.
+    fine = {agent: np.array([0.1], np.float32)}
+    assert repr(road.step(fine)) == repr(twin.step(fine))
+
+
+def test_a_missing_action_is_refused_by_the_agents_name():
+    road = parallel_env(overrides=BUSY)
+    road.reset(seed=0)
+    while len(road.agents) < 2:
+        road.step({agent: hold(None) for agent in road.agents})
+    with pytest.raises(ValueError, match=rf"{road.agents[1]} is live and has no action"):
+        road.step({road.agents[0]: hold(None)})
+
+
+def test_actions_are_clipped_and_those_of_others_ignored():
+    road, twin = parallel_env(), parallel_env()
+    until_engaged(road)
+    until_engaged(twin)
+    (agent,) = road.agents
+    strays = {"changer_9": np.full(3, np.nan), "nobody": None}
+    clipped = twin.step({agent: [0.5]})
+    assert repr(road.step({agent: [1e30], **strays})) == repr(clipped)
+    assert clipped[4][agent]["reward_acceleration"] == -1.0
+
+
+@pytest.mark.parametrize("scenario", list_scenarios())
+def test_long_random_rollouts_stay_in_the_spaces(scenario):
+    road = parallel_env(scenario, overrides={"num_agents": 60})
+    for name in road.possible_agents:
+        assert road.action_space(name) is road.action_space(name)
+        assert road.observation_space(name) is road.observation_space(name)
+        road.action_space(name).seed(0)
+    observations, _ = road.reset(seed=6)
+    rows = []
+    while road.agents:
+        for name, seen in observations.items():
+            assert road.observation_space(name).contains(seen), seen
+        rows += observations.values()
+        actions = {name: road.action_space(name).sample() for name in road.agents}
+        observations = road.step(actions)[0]
+    spread = np.ptp(np.stack(rows), axis=0)
+    assert (spread > 0.0).tolist() == [True] * 5 + [bool(road.scenario.road.arcs)]
+
+
+def test_state_shows_every_vehicle_by_decreasing_position():
+    road = parallel_env("dense")
+    road.reset(seed=0)
+    commanded = set()
+    while road.agents:
+        state = road.state()
+        assert road.state_space.contains(state)
+        count = int(road.simulator.roads["num_vehicles"][0])
+        rows = dict(zip(STATE_COLUMNS, state.T, strict=True))
+        cars = road.simulator.vehicles[0]
+        present = cars[cars["id"] != NONE]
+        present = present[np.argsort(-present["position"], kind="stable")]
+        assert len(present) == count > 5
+        for name in STATE_COLUMNS[:-1]:
+            assert np.array_equal(rows[name][:count], present[name].astype(np.float32))
+        assert not state[count:, :-1].any()
+        assert (rows["agent"][count:] == NONE).all()
+        serials = rows["agent"][:count]
+        live = {f"changer_{int(serial)}" for serial in serials[serials != NONE]}
+        assert live == set(road.agents)
+        commanded |= live
+        road.step({agent: hold(None) for agent in road.agents})
+    assert commanded == set(road.possible_agents)
+
+
+def test_what_cannot_be_is_refused():
+    for form in (parallel_env, env):
+        with pytest.raises(ValueError, match=r"render_mode = 'human'"):
+            form(render_mode="human")
+        with pytest.raises(ScenarioError, match=r"needs num_agents \(is None\)"):
+            form(overrides={"num_agents": None})
+        with pytest.raises(ScenarioError, match=r"command\.probability > 0 \(is 0\.0\)"):
+            form(overrides={"command": {"probability": 0.0}})
+        with pytest.raises(ScenarioError, match="no such scenario"):
+            form("nowhere")
+    with pytest.raises(ValueError, match="seed = -1"):
+        parallel_env().reset(seed=-1)
+
+
+@pytest.mark.parametrize("fixed_agents", [False, True])
+def test_returned_observations_are_nobody_elses(fixed_agents):
+    few = {"num_agents": 4}
+    road, twin = (parallel_env("dense", fixed_agents=fixed_agents, overrides=few) for _ in range(2))
+    kept, saved = [road.reset(seed=0)[0]], []
+    twin.reset(seed=0)
+    while road.agents:
+        saved.append(repr(kept[-1]))
+        actions = {agent: hold(None) for agent in road.agents}
+        kept.append(road.step(actions)[0])
+        written_over = twin.step(actions)[0]
+        assert repr(written_over) == repr(kept[-1])
+        for seen in written_over.values():
+            seen.fill(1.0)
+    assert [repr(observations) for observations in kept[:-1]] == saved
+
+
+@pytest.mark.parametrize("fixed_agents", [False, True])
+def test_after_the_end_a_step_returns_empty_dicts(fixed_agents):
+    road = parallel_env(overrides={"num_agents": 1}, fixed_agents=fixed_agents)
+    assert road.step({}) == ({}, {}, {}, {}, {})
+    play(road, seed=0)
+    last = road.simulator.state.tobytes()
+    assert road.step({"changer_0": hold(None)}) == ({}, {}, {}, {}, {})
+    assert road.simulator.state.tobytes() == last
+    assert road.metadata["name"] == "lane_change_v0"
+
+
+def test_fixed_agents_adds_the_absent_ones_with_zeros():
+    road = parallel_env("five_lanes", fixed_agents=True)
+    play(road, seed=1)
+    fixed = play(road, seed=7)
+    free = play(parallel_env("five_lanes"), seed=7)
+    finished = set()
+    for (before, *parts), (same, *fewer) in zip(fixed, free, strict=True):
+        assert before == same
+        names = [f"changer_{k}" for k in range(10)]
+        if before:
+            assert all(list(part) == names for part in parts)
+        else:
+            assert [list(parts[0]), list(parts[4])] == [names, names]
+        for part, present in zip(parts, fewer, strict=True):
+            assert repr({name: part[name] for name in present}) == repr(present)
+        observations, rewards, terminations, truncations, infos = parts
+        for name in set(names) - set(fewer[0]):
+            assert observations[name].dtype == np.float32
+            assert not observations[name].any()
+            assert rewards[name] == 0.0
+            assert not truncations[name]
+            assert terminations[name] == (name in finished)
+            assert set(infos[name].values()) == {0.0}
+            assert list(infos[name]) == list(infos[names[0]])
+        finished |= {name for name in names if terminations[name] or truncations[name]}
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning")
+@pytest.mark.parametrize("scenario", ["paper", "five_lanes"])
+def test_it_runs_in_torchrls_wrapper(scenario):
+    from torchrl.envs import PettingZooWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    road = parallel_env(scenario, fixed_agents=True, overrides={"num_agents": 3})
+    wrapped = PettingZooWrapper(road, use_mask=True, done_on_any=False)
+    check_env_specs(wrapped)
+    for _ in range(2):
+        steps = wrapped.rollout(LONG)
+        done = steps["next", "done"].flatten()
+        assert done.tolist() == [False] * (len(done) - 1) + [True]
+        assert road.agents == []
+        assert road.simulator.roads["is_done"][0] == 1
+        assert road.simulator.roads["num_commands"][0] == 3
+        ends = steps["next", "changer", "done"] & steps["changer", "mask"].unsqueeze(-1)
+        assert ends.flatten(1).sum(0).tolist() == [1] * 3
+        assert steps["changer", "mask"].any(1).all()

@@ -1,0 +1,114 @@
+"""The wheel: what it holds, and that it runs where nothing else of this repository is."""
+
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+PROGRAM = """
+import importlib.metadata
+import sys
+from pathlib import Path
+
+import marl_lanes
+from marl_lanes import list_scenarios, parallel_env
+
+assert Path(marl_lanes.__file__).is_relative_to(sys.prefix), marl_lanes.__file__
+modules = [module for name, module in sys.modules.items() if name.startswith("marl_lanes")]
+env = parallel_env("paper", overrides={"warmup": [20.0, 20.0]})
+observations, _ = env.reset(seed=0)
+rewards = []
+for _ in range(60):
+    rewards += env.step({agent: [0.05] for agent in env.agents})[1].values()
+assert all(Path(module.__file__).is_relative_to(sys.prefix) for module in modules), modules
+assert min(rewards) < 0.0 == max(rewards)
+print(*list_scenarios())
+print(importlib.metadata.version("marl-lanes"))
+"""
+
+
+def run(*command, cwd, **environment):
+    done = subprocess.run(
+        [str(part) for part in command],
+        cwd=cwd,
+        env={"PATH": "", "PYTHONWARNINGS": "error", **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel of a clean copy of this tree: what git tracks, or would track."""
+    git = shutil.which("git")
+    listing = run(git, "ls-files", "-z", "--cached", "--others", "--exclude-standard", cwd=ROOT)
+    source = tmp_path_factory.mktemp("source")
+    for name in filter(None, listing.split("\0")):
+        if (ROOT / name).is_file():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, source / name)
+    built = tmp_path_factory.mktemp("built")
+    command = (sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", built)
+    run(*command, cwd=source, PYTHONWARNINGS="default")
+    (path,) = built.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def names(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        return archive.namelist()
+
+
+def test_marl_lanes_is_the_only_package_in_the_wheel(names):
+    tops = {name.split("/")[0] for name in names}
+    assert {name for name in tops if not name.endswith(".dist-info")} == {"marl_lanes"}
+    assert len(tops) == 2
+
+
+def test_the_wheel_holds_every_module_scenario_and_the_type_marker(names):
+    inside = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "marl_lanes").rglob("*.py")
+        if "__pycache__" not in path.parts
+    }
+    scenarios = {f"marl_lanes/scenarios/{path.name}" for path in ROOT.glob("scenarios/*.yaml")}
+    assert len(scenarios) >= 7
+    expected = inside | scenarios | {"marl_lanes/scenarios/__init__.py", "marl_lanes/py.typed"}
+    assert {name for name in names if name.startswith("marl_lanes/")} == expected
+
+
+def test_the_wheel_carries_its_license_and_command(wheel, names):
+    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
+    (entry_points,) = [name for name in names if name.endswith("entry_points.txt")]
+    with zipfile.ZipFile(wheel) as archive:
+        assert "marl-lanes = marl_lanes.cli:main" in archive.read(entry_points).decode()
+
+
+def test_the_installed_wheel_runs_from_another_folder(wheel, tmp_path):
+    home, elsewhere = tmp_path / "venv", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    venv.create(home, with_pip=False, symlinks=True)
+    python = home / "bin" / "python"
+    install = ("install", "--quiet", "--no-deps", "--no-index", "--no-compile", wheel)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python)
+    run(*pip, *install, cwd=elsewhere, PYTHONWARNINGS="default")
+    # The dependencies, but not what .pth files add: the editable install stays out of sight.
+    (site,) = home.glob("lib/python*/site-packages")
+    paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (site / "dependencies.pth").write_text("\n".join(sorted(paths)) + "\n")
+    # Interpreted: compiling the kernel again would take half a minute.
+    output = run(python, "-c", PROGRAM, cwd=elsewhere, NUMBA_DISABLE_JIT="1")
+    scenarios, version = output.splitlines()
+    assert scenarios.split() == sorted(path.stem for path in ROOT.glob("scenarios/*.yaml"))
+    assert wheel.name.startswith(f"marl_lanes-{version}-")

@@ -1,0 +1,152 @@
+"""The repository's layout and hygiene."""
+
+import os
+import re
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+FOLDERS = ["agents", "benchmarks", "docs", "marl_lanes", "scenarios", "tests"]
+FILES = [".ci/run", "LICENSE", "Makefile", "README.md", "constraints.txt", "pyproject.toml"]
+MAX_LINES = 420
+
+# Written so that this file does not hold them itself.
+FORBIDDEN = re.compile(
+    "|".join(
+        [
+            r"(?<![\w.~-])/(?:work|home|tmp|root|Users)" + "/",
+            r"\b(?:files\." + r"pythonhosted|pypi)" + r"\.org",
+            r"\b(?:index|extra-index|find-links)" + r"[-_]url\b",
+            r"download\.pytorch" + r"\.org",
+        ]
+    )
+)
+
+
+def tracked():
+    """Every file that git tracks, or would track."""
+    git = shutil.which("git")
+    assert git is not None
+    done = subprocess.run(
+        [git, "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    names = sorted(set(filter(None, done.stdout.split("\0"))))
+    return [ROOT / name for name in names if (ROOT / name).is_file()]
+
+
+def requirements():
+    lists = [PROJECT["dependencies"], EXTRAS["train"], EXTRAS["dev"]]
+    parsed = {Requirement(text) for lines in lists for text in lines}
+    return sorted((one for one in parsed if one.name != PROJECT["name"]), key=str)
+
+
+@pytest.fixture(scope="module")
+def pins():
+    """Versions of constraints.txt by canonical name."""
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    found = {}
+    for line in (text.split("#")[0].strip() for text in lines):
+        if line:
+            constraint = Requirement(line)
+            (specifier,) = constraint.specifier
+            assert specifier.operator == "=="
+            assert canonicalize_name(constraint.name) not in found, line
+            found[canonicalize_name(constraint.name)] = Version(specifier.version)
+    return found
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_the_folders_are_there(name):
+    folder = ROOT / name
+    assert folder.is_dir()
+    assert any(path.is_relative_to(folder) for path in tracked()), "git holds no file of it"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_files_are_there(name):
+    assert (ROOT / name).is_file()
+    assert (ROOT / name).read_text(encoding="utf-8").strip()
+
+
+def test_the_ci_command_can_be_executed():
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
+    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").startswith("#!")
+
+
+@pytest.mark.parametrize("requirement", requirements(), ids=lambda one: one.name)
+def test_every_dependency_is_pinned_within_its_range(requirement, pins):
+    name = canonicalize_name(requirement.name)
+    assert name in pins
+    assert requirement.specifier.contains(pins[name])
+    # A dependency without a lower bound says nothing.
+    assert any(one.operator in {">=", "==", "~="} for one in requirement.specifier)
+
+
+def test_the_extras_are_as_documented():
+    assert {"train", "dev"} <= set(EXTRAS)
+    assert "marl-lanes[train]" in EXTRAS["dev"]
+    assert PROJECT["license-files"] == ["LICENSE"]
+
+
+def test_no_file_of_the_package_is_too_long():
+    lengths = {
+        path.relative_to(ROOT).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
+        for path in (ROOT / "marl_lanes").rglob("*.py")
+    }
+    assert len(lengths) > 20
+    assert {name: count for name, count in lengths.items() if count > MAX_LINES} == {}
+
+
+def test_no_file_names_a_machine_or_a_registry():
+    found = []
+    for path in tracked():
+        try:
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        for number, line in enumerate(text.splitlines(), 1):
+            if FORBIDDEN.search(line):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}")
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    ("line", "is_refused"),
+    [
+        ("see /wo" + "rk/shared/DESIGN.md", True),
+        ("cd /ho" + "me/someone", True),
+        ('open("/tm' + 'p/x")', True),
+        ("--index" + "-url https://mirror", True),
+        ("https://py" + "pi.org/simple", True),
+        ("runs/paper, docs/work/that.md", False),
+        ("https://pettingzoo.farama.org/home/", False),
+        ("pip install marl-lanes", False),
+    ],
+)
+def test_what_names_a_machine_or_a_registry(line, is_refused):
+    assert (FORBIDDEN.search(line) is not None) == is_refused
+
+
+def test_agents_is_not_a_package():
+    inside = list((ROOT / "agents").rglob("*"))
+    assert inside
+    assert [path for path in inside if path.name == "__init__.py"] == []
+
+
+def test_nothing_built_is_tracked():
+    suffixes = {".nbc", ".nbi", ".pyc", ".whl", ".so", ".pt", ".ckpt"}
+    assert [path for path in tracked() if path.suffix in suffixes] == []
+    assert [path for path in tracked() if path.stat().st_size > 1_000_000] == []
