@@ -422,15 +422,19 @@ class Road:
             self.counts["num_collided"] += car.is_hit
             self.counts["num_off_road"] += car.is_off_road and not car.is_hit
             self.counts["num_left"] += not car.is_hit and (car.is_off_road or car.is_past_end)
-        self.cars = [c for c in self.cars if not (c.is_hit or c.is_off_road or c.is_past_end)]
+        gone = [c for c in self.cars if c.is_hit or c.is_off_road or c.is_past_end]
+        self.cars = [c for c in self.cars if c not in gone]
+        # Their slots stay readable, and so taken, until the next step.
+        self.removed = {car.slot for car in gone}
+        self.counts["num_removed"] = len(gone)
 
     def depart(self):
         """One vehicle a lane at most, where its driver has the gap that he desires."""
         scenario = self.scenario
         now = self.counts["step"] * scenario.time_step
         for lane, (due, speed, name) in enumerate(self.departures):
-            taken = {car.slot for car in self.cars}
-            if now < due or len(self.cars) == scenario.max_vehicles:
+            taken = {car.slot for car in self.cars} | self.removed
+            if now < due or len(taken) == scenario.max_vehicles:
                 continue
             slot = next(slot for slot in range(scenario.max_vehicles) if slot not in taken)
             car = Car(self.counts["num_entered"], slot, 0.0, self.centre(lane), speed, 0.0, 0.0,
@@ -547,6 +551,10 @@ class Road:
         is_last_over = (
             counts["num_commands"] == self.scenario.num_agents and counts["num_live"] == 0
         )
+        steps = round((self.scenario.horizon or math.inf) / self.scenario.time_step, 0)
+        if counts["step"] == steps:
+            ended = [agent.outcome for agent in self.agents.values()]
+            counts["is_cut"] = int(not is_last_over or Outcome.HORIZON in ended)
         if is_last_over or self.is_late:
             counts["is_done"] = 1
 
@@ -596,6 +604,7 @@ def stage(simulator, *cars, env=0):
     """
     vehicles, state = simulator.vehicles[env], simulator.state
     vehicles["id"] = vehicles["agent"] = vehicles["changer"] = -1
+    vehicles["fate"] = simulator.roads["num_removed"][env] = 0
     simulator.agents[env]["vehicle"] = -1
     simulator.agents[env]["phase"] = Phase.ABSENT
     simulator.agents[env]["outcome"] = Outcome.UNFINISHED

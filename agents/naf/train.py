@@ -26,12 +26,11 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import HardUpdate, SoftUpdate
 from tqdm import tqdm
 
-from marl_lanes import LaneChangeEnv, NAFLoss, Scenario, ScenarioError, load_scenario
+from marl_lanes import LaneChangeEnv, NAFLoss, Scenario, load_scenario
 from marl_lanes.evaluation.figures import draw_maneuver, draw_training
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.training.checkpoint import (
-    CheckpointError,
     greedy_policy,
     load_checkpoint,
     make_network,
@@ -40,7 +39,7 @@ from marl_lanes.training.checkpoint import (
 from marl_lanes.training.config import ConfigError, TrainingConfig, check, register
 from marl_lanes.training.files import write_atomically, write_json
 from marl_lanes.training.resume import read_state, restore_state, save_state
-from marl_lanes.training.run_folder import RunFolder
+from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder
 from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
 
 register()
@@ -49,9 +48,10 @@ register()
 class Training:
     """One run: what it is made of, and how far it is."""
 
-    def __init__(self, config: TrainingConfig, run: RunFolder) -> None:
+    run: RunFolder
+
+    def __init__(self, config: TrainingConfig) -> None:
         self.config = config
-        self.run = run
         self.scenario = load_scenario(config.scenario)
         self.env = LaneChangeEnv(
             self.scenario,
@@ -100,9 +100,8 @@ class Training:
         """Transitions collected so far."""
         return int(self.counters["transitions"])
 
-    def restore(self) -> None:
-        """Go on from the run folder's training state."""
-        content = read_state(self.run.state)
+    def restore(self, content: dict[str, Any]) -> None:
+        """Go on from a training state."""
         self.counters.update(content["counters"])
         restore_state(
             content, loss=self.loss, optimizer=self.optimizer, replay=self.replay, env=self.env
@@ -270,7 +269,7 @@ def report(training: Training) -> dict[str, Any]:
         run.path / "evaluation.json",
         {
             "scenario": scenario.name,
-            "policy": "checkpoints/final.pt",
+            "policy": f"checkpoints/{FINAL_MODEL}",
             "seed": config.evaluation.seed,
             **summary,
         },
@@ -284,7 +283,7 @@ def report(training: Training) -> dict[str, Any]:
 def draw_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
     """Figure 8: the first and the last saved model on the same maneuver."""
     saved = sorted(run.checkpoints.glob("step_*.pt"))
-    paths = (saved[0] if saved else run.checkpoints / "final.pt", run.checkpoints / "final.pt")
+    paths = (saved[0] if saved else run.checkpoints / FINAL_MODEL, run.checkpoints / FINAL_MODEL)
     loaded = [load_checkpoint(path, scenario) for path in paths]
     first, last = (
         run_maneuvers(scenario, greedy_policy(model.network), 1, seed=seed)[0] for model in loaded
@@ -312,16 +311,18 @@ def start(config: TrainingConfig) -> Training:
     """A new run, or the one to resume."""
     torch.set_num_threads(config.num_threads)
     folder = Path(config.output)
+    # Built before the folder is touched: what is wrong with the config leaves nothing behind.
+    training = Training(config)
     if config.resume is not None:
-        until = int(read_state(folder / "resume.pt")["counters"]["transitions"])
-        training = Training(config, RunFolder(folder, until=until))
-        training.restore()
+        content = read_state(folder / "resume.pt")
+        training.restore(content)
+        training.run = RunFolder(folder, until=training.transitions)
         return training
-    load_scenario(config.scenario)
-    run = RunFolder(folder)
+    training.run = RunFolder(folder)
     text = OmegaConf.to_yaml(OmegaConf.structured(config))
-    write_atomically(run.config, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    return Training(config, run)
+    path = training.run.config
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return training
 
 
 @hydra.main(version_base="1.3", config_path=".", config_name="config")
@@ -329,7 +330,7 @@ def main(given: DictConfig) -> None:
     """Train, evaluate, report."""
     try:
         training = start(read_config(given))
-    except (ConfigError, ScenarioError, CheckpointError) as error:
+    except ValueError as error:
         sys.exit(f"error: {error}")
     is_complete = training.train()
     training.save()
@@ -338,7 +339,7 @@ def main(given: DictConfig) -> None:
         print(f"interrupted; continue with resume={training.run.path}")
         return
     with training.timed("evaluating"):
-        training.save_model("final.pt")
+        training.save_model(FINAL_MODEL)
     training.run.evaluations.close()
     seconds = {key: round(value, 2) for key, value in training.counters.items() if "_" in key}
     write_json(training.run.path / "training.json", seconds)

@@ -29,7 +29,7 @@ TRACE = np.dtype(
         ("yaw_before", "f8"),
         ("yaw_rate_before", "f8"),
         ("curvature", "f8"),
-        # After the step, in the maneuver frame; nan where the vehicle has left the road.
+        # After the step, in the maneuver frame.
         ("speed", "f8"),
         ("lateral_deviation", "f8"),
         ("yaw", "f8"),
@@ -59,6 +59,8 @@ class Maneuver:
     command: int
     outcome: Outcome
     num_aborts: int
+    born_step: int
+    """The road's step at the command."""
     waiting_time: float
     """From the command until it first engaged, or until it ended [s]."""
     time_to_end: float
@@ -94,11 +96,11 @@ class _Recorder:
         rows["yaw_rate_before"] = direction * cars["yaw_rate"]
         rows["curvature"] = direction * self._curvature(cars["position"])
         rows["road_turn_rate"] = rows["curvature"] * cars["speed"]
-        self._pending = rows, envs, slots, cars["id"].copy()
+        self._pending = rows, envs, slots
 
     def after(self) -> None:
         """Complete the rows, and note the commands that ended."""
-        rows, envs, slots, ids = self._pending
+        rows, envs, slots = self._pending
         simulator = self.simulator
         agents = simulator.agents[envs, slots]
         cars = simulator.vehicles[envs, agents["vehicle"]]
@@ -122,9 +124,6 @@ class _Recorder:
                 rows["follower_acceleration"] = acceleration
         for name in ("reward_acceleration", "reward_yaw_rate", "reward_deviation"):
             rows[name] = agents[name]
-        gone = cars["id"] != ids
-        for name in TRACE.names[8:-3] if TRACE.names else ():
-            rows[name][gone] = np.nan if TRACE[name].kind == "f" else False
         self.rows.append(rows)
         self._note_residuals()
         self._note_outcomes()
@@ -135,15 +134,17 @@ class _Recorder:
         for env, slot in np.argwhere(simulator.has_ended).tolist():
             agent = simulator.agents[env, slot]
             outcome = Outcome(int(agent["outcome"]))
-            lifetime = float(simulator.roads["step"][env] - agent["born_step"])
+            born, lifetime = int(agent["born_step"]), int(simulator.roads["step"][env])
+            lifetime -= born
             maneuver = Maneuver(
                 env=env,
                 command=int(agent["command"]),
                 outcome=outcome,
                 num_aborts=int(agent["num_aborts"]),
+                born_step=born,
                 waiting_time=lifetime * step,
                 time_to_end=lifetime * step,
-                has_side_collision=self._has_side_collision(env, int(agent["command"])),
+                has_side_collision=self._has_side_collision(env, slot, int(agent["command"])),
                 trace=np.zeros(0, TRACE),
             )
             self.maneuvers[env, maneuver.command] = maneuver
@@ -155,7 +156,10 @@ class _Recorder:
                     (maneuver, int(agent["vehicle"]), int(car["id"]), direction, last)
                 )
 
-    def _has_side_collision(self, env: int, command: int) -> bool:
+    def _has_side_collision(self, env: int, slot: int, command: int) -> bool:
+        _, envs, slots = self._pending
+        if not ((envs == env) & (slots == slot)).any():
+            return False
         records = self.simulator.state.collisions[env]
         is_own = (records["rear_command"] == command) | (records["front_command"] == command)
         is_new = (records["rear_id"] != NONE) & (
@@ -199,8 +203,8 @@ class _Recorder:
             maneuver = self.maneuvers.get((int(key["env"]), int(key["command"])))
             if maneuver is not None:
                 maneuver.trace = rows[bounds[index] : bounds[index + 1]]
-                span = maneuver.trace["step"][-1] - maneuver.trace["step"][0] + 1
-                maneuver.waiting_time = max(0.0, maneuver.time_to_end - float(span) * step)
+                first = int(maneuver.trace["step"][0])
+                maneuver.waiting_time = (first - 1 - maneuver.born_step) * step
         return [self.maneuvers[key] for key in sorted(self.maneuvers)]
 
 

@@ -111,14 +111,15 @@ class Heads(nn.Module):
 
     def forward(self, observation: Tensor) -> Tensor:
         """(..., in_features) to (..., networks * outputs), network by network."""
-        rows = observation.reshape(1, -1, observation.shape[-1])
+        rows = observation.flatten(end_dim=-2) if observation.ndim > 1 else observation[None]
         hidden = rows.expand(len(self.initial), -1, -1)
         for index in range(self.num_layers):
             weight, bias = self.layer(index)
             hidden = torch.baddbmm(bias, hidden, weight)
             if index < self.num_layers - 1:
                 hidden = torch.tanh(hidden)
-        return hidden.transpose(0, 1).reshape(*observation.shape[:-1], -1)
+        width = hidden.shape[0] * hidden.shape[2]
+        return hidden.transpose(0, 1).reshape(*observation.shape[:-1], width)
 
 
 class Mu(nn.Module):

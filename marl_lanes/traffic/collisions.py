@@ -100,4 +100,18 @@ def remove_vehicles(road: Any, vehicles: Any, order: Any) -> None:
                 road.num_off_road += 1
         car.id = NONE
         car.agent = NONE
+        road.num_removed += 1
     road.num_vehicles = kept
+
+
+@internal
+def free_slots(road: Any, vehicles: Any) -> None:
+    """Let departures have the slots of the vehicles removed in the step before.
+
+    Until then their records stay readable, for who looks at how a command ended.
+    """
+    if road.num_removed > 0:
+        for slot in range(vehicles.shape[0]):
+            if vehicles[slot].id == NONE:
+                vehicles[slot].fate = STAYS
+        road.num_removed = 0

@@ -69,10 +69,11 @@ def depart(
     """Let the vehicles whose time has come enter, where there is room; the others wait."""
     now = road.step * constants.time_step
     for lane in range(lanes.shape[0]):
-        if now < lanes[lane].next_departure or road.num_vehicles == vehicles.shape[0]:
+        num_taken = road.num_vehicles + road.num_removed
+        if now < lanes[lane].next_departure or num_taken == vehicles.shape[0]:
             continue
         slot = 0
-        while vehicles[slot].id != NONE:
+        while vehicles[slot].id != NONE or vehicles[slot].fate != 0:
             slot += 1
         car = vehicles[slot]
         _place(car, lane, lanes[lane], arcs, constants)
@@ -96,9 +97,11 @@ def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: A
     for slot in range(vehicles.shape[0]):
         vehicles[slot].id = NONE
         vehicles[slot].agent = NONE
+        vehicles[slot].fate = 0
     warmup = uniform(road, constants.warmup_low, constants.warmup_high)
     road.step = -math.ceil(warmup / constants.time_step)
     road.num_vehicles = road.num_entered = road.num_left = road.num_off_road = 0
+    road.num_removed = 0
     road.num_collided = road.num_collisions = 0
     road.num_commands = road.num_live = road.is_done = road.is_cut = 0
     now = road.step * constants.time_step

@@ -11,6 +11,7 @@ from marl_lanes.traffic.collisions import (
     LEAVES,
     STRAYS,
     detect_collisions,
+    free_slots,
     remove_vehicles,
 )
 from marl_lanes.traffic.compiled import compiled, internal
@@ -165,6 +166,20 @@ def renew(
 
 
 @internal
+def end_episode(road: Any, agents: Any, constants: Any) -> None:
+    """Note the end of the episode: all commands finished, or the horizon cut it."""
+    is_last_over = road.num_commands == constants.num_agents > 0 and road.num_live == 0
+    if road.step == constants.horizon_steps > 0:
+        has_cut = not is_last_over
+        for index in range(agents.shape[0]):
+            has_cut = has_cut or agents[index].outcome == _HORIZON
+        road.is_done = 1
+        road.is_cut = 1 if has_cut else 0
+    elif is_last_over:
+        road.is_done = 1
+
+
+@internal
 def clear(
     road: Any,
     lanes: Any,
@@ -235,6 +250,7 @@ def run(
         ):
             is_first = False
             clear_ended(live, seen)
+            free_slots(road, cars)
             accelerate(road, lane, cars, ranks, live, profiles, p)
             is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
             road.step += 1
@@ -248,8 +264,4 @@ def run(
                 give_commands(road, cars, ranks, live, p)
             if road.num_live > 0:
                 renew(road, cars, ranks, live, seen, arcs, features, p)
-            if road.num_commands == p.num_agents > 0 and road.num_live == 0:
-                road.is_done = 1
-            elif road.step == p.horizon_steps > 0:
-                road.is_done = 1
-                road.is_cut = 1
+            end_episode(road, live, p)

@@ -48,11 +48,11 @@ class LossConfig:
     gamma: float = MISSING
     """Discount factor."""
     target_update: str = MISSING
-    """soft: Polyak averaging by tau at every update; hard: a copy every target_interval updates."""
+    """soft: Polyak averaging by tau; hard: a copy."""
     tau: float = MISSING
     """Step of the soft update."""
     target_interval: int = MISSING
-    """Updates between two hard updates."""
+    """Updates of the network for one of the target."""
 
 
 @dataclass
@@ -159,9 +159,10 @@ def check(config: TrainingConfig) -> None:
     }
     positive = {
         "optimizer.learning_rate": config.optimizer.learning_rate,
-        "optimizer.max_gradient_norm": config.optimizer.max_gradient_norm or 1.0,
         "optimizer.transitions_per_update": config.optimizer.transitions_per_update,
     }
+    if config.optimizer.max_gradient_norm is not None:
+        positive["optimizer.max_gradient_norm"] = config.optimizer.max_gradient_norm
     for name, value in at_least_one.items():
         _require(value >= 1, name, value, "at least 1")
     for name, number in not_negative.items():

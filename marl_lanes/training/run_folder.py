@@ -12,17 +12,24 @@ from marl_lanes.training.files import write_atomically
 
 Value = float | int | str
 
+FINAL_MODEL = "final.pt"
+"""File name of the model at the end of the training."""
+
 
 class Table:
     """A CSV file that grows row by row; its first column is the number of transitions."""
 
     def __init__(self, path: Path, columns: Sequence[str], *, until: int | None = None) -> None:
-        """Begin the table anew, or go on with its rows of at most ``until`` transitions."""
+        """Begin the table anew, or go on with its rows of at most ``until`` transitions.
+
+        The row of the final model is never kept: it is written again when the run ends.
+        """
         self.columns = tuple(columns)
         kept: list[list[str]] = []
         if until is not None:
             with path.open(newline="", encoding="utf-8") as file:
-                kept = [row for row in list(csv.reader(file))[1:] if int(row[0]) <= until]
+                rows = list(csv.reader(file))[1:]
+            kept = [row for row in rows if int(row[0]) <= until and FINAL_MODEL not in row]
 
         def write(temporary: Path) -> None:
             with temporary.open("w", newline="", encoding="utf-8") as file:

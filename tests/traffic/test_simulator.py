@@ -184,7 +184,7 @@ def test_an_action_that_is_not_finite_is_refused_where_it_would_steer(value):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"num_envs": 0}, "num_envs = 0: must be at least 1"),
+        ({"num_envs": 0}, "num_envs = 0: must be a whole number, at least 1"),
         ({"num_threads": 0}, "num_threads = 0: must be at least 1"),
         ({"seed": -1}, "seed = -1: must be a whole number, 0 to"),
         ({"seed": 2**64}, "seed = 18446744073709551616: must be a whole number, 0 to"),
