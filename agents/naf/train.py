@@ -70,8 +70,14 @@ class Training:
         else:
             # Its interval counts the calls in between, of which there are none.
             self.target_updater = HardUpdate(self.loss, value_network_update_interval=0)
+        rates = {
+            self.network.factor_logits: config.optimizer.learning_rate,
+            self.network.value: config.optimizer.learning_rate,
+            self.network.mu: config.optimizer.mu_learning_rate,
+        }
         self.optimizer = torch.optim.Adam(
-            self.network.parameters(), lr=config.optimizer.learning_rate, fused=True
+            [{"params": list(part.parameters()), "lr": rate} for part, rate in rates.items()],
+            fused=True,
         )
         self.replay = TensorDictReplayBuffer(
             storage=LazyTensorStorage(config.replay.capacity),

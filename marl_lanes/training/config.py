@@ -60,7 +60,9 @@ class OptimizerConfig:
     """Adam."""
 
     learning_rate: float = MISSING
-    """Step size."""
+    """Step size of M and V."""
+    mu_learning_rate: float = MISSING
+    """Step size of mu: smaller, V keeps up with the policy that it has to value."""
     max_gradient_norm: float | None = MISSING
     """Gradients are scaled down to this norm; null: not."""
     transitions_per_update: float = MISSING
@@ -159,6 +161,7 @@ def check(config: TrainingConfig) -> None:
     }
     positive = {
         "optimizer.learning_rate": config.optimizer.learning_rate,
+        "optimizer.mu_learning_rate": config.optimizer.mu_learning_rate,
         "optimizer.transitions_per_update": config.optimizer.transitions_per_update,
     }
     if config.optimizer.max_gradient_norm is not None:
