@@ -1,5 +1,6 @@
 # make train  - train the shared NAF policy on the paper's scenario, evaluate it, write the report
 # make test   - linters, import contract, type checker, tests
+# make benchmark - speed beside highway-env
 # Each sets up .venv when it is missing or out of date.
 
 PYTHON ?= python3
@@ -8,7 +9,7 @@ BIN := $(VENV)/bin
 RUN ?= runs/paper
 ARGS ?=
 
-.PHONY: train test clean
+.PHONY: train test benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -19,6 +20,10 @@ test: $(VENV)/installed
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
+
+benchmark: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
+	$(BIN)/python benchmarks/speed.py $(ARGS)
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
