@@ -19,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         run: Callable[[argparse.Namespace], None] = options.run
         run(options)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
@@ -71,6 +71,8 @@ def _evaluate(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.rollout import run_maneuvers
     from marl_lanes.training.files import write_json
 
+    if options.json is not None and options.json.is_dir():
+        raise ValueError(f"--json {options.json}: must be a file, is a folder")
     scenario = load_scenario(options.scenario)
     name, policy = _make_policy(options, scenario)
     show = _Progress(2 * max(1, options.maneuvers))

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from marl_lanes import LaneChangeEnv, NAFLoss, Scenario, load_scenario
 from marl_lanes.evaluation.figures import draw_maneuver, draw_training
 from marl_lanes.evaluation.metrics import evaluate
-from marl_lanes.evaluation.rollout import run_maneuvers
+from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
 from marl_lanes.training.checkpoint import (
     greedy_policy,
     load_checkpoint,
@@ -53,12 +53,15 @@ class Training:
     def __init__(self, config: TrainingConfig) -> None:
         self.config = config
         self.scenario = load_scenario(config.scenario)
+        check_episodes(self.scenario)
         self.env = LaneChangeEnv(
             self.scenario,
             config.collector.num_envs,
             seed=config.seed,
             overrides=config.training_overrides,
         )
+        if self.env.scenario.command.probability == 0.0:
+            raise ConfigError("training_overrides: command.probability = 0: must be above 0")
         torch.manual_seed(config.seed)
         self.network = make_network(
             self.scenario, config.network.mu, list(config.network.hidden_sizes)
@@ -112,6 +115,8 @@ class Training:
         restore_state(
             content, loss=self.loss, optimizer=self.optimizer, replay=self.replay, env=self.env
         )
+        # It has looked at its environment when it was built; let it look again.
+        self.collector.reset()
 
     def save(self) -> None:
         """Write the training state."""
@@ -336,7 +341,7 @@ def main(given: DictConfig) -> None:
     """Train, evaluate, report."""
     try:
         training = start(read_config(given))
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
     is_complete = training.train()
     training.save()

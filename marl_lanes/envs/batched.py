@@ -79,8 +79,8 @@ class LaneChangeEnv(EnvBase):
     def restore(self, snapshot: bytes) -> None:
         """Go on from ``simulator.snapshot()`` of an equal environment.
 
-        The resets with which a collector or rollout begins then return the restored state; from the
-        first step on, resets are resets again.
+        Resets return the restored state until the first step. A collector looks at its environment
+        when it is built: call its ``reset`` after this.
 
         Raises:
             ValueError: the snapshot is of another size; nothing is changed.

@@ -229,18 +229,14 @@ def run_maneuvers(
         progress: called after every step with the number of commands finished so far.
 
     Raises:
-        ScenarioError: its episodes have no end, or no commands.
+        ScenarioError: its episodes have no end, no commands, or end before the first one.
         ValueError: ``num_maneuvers`` is below 1.
     """
     if num_maneuvers < 1:
         raise ValueError(f"num_maneuvers = {num_maneuvers}: must be at least 1")
     loaded = load_scenario(scenario)
-    if loaded.num_agents is None or loaded.command.probability == 0.0:
-        raise ScenarioError(
-            f"scenario {loaded.name!r}: an evaluation needs num_agents (is {loaded.num_agents}) "
-            f"and command.probability > 0 (is {loaded.command.probability})"
-        )
-    simulator = Simulator(loaded, ceil(num_maneuvers / loaded.num_agents), seed=seed)
+    num_roads = ceil(num_maneuvers / check_episodes(loaded))
+    simulator = Simulator(loaded, num_roads, seed=seed)
     simulator.reset()
     recorder = _Recorder(simulator)
     actions = np.zeros((simulator.num_envs, simulator.num_slots, 1))
@@ -254,4 +250,24 @@ def run_maneuvers(
         recorder.after()
         if progress is not None:
             progress(len(recorder.maneuvers))
-    return recorder.finish()[:num_maneuvers]
+    maneuvers = recorder.finish()[:num_maneuvers]
+    if not maneuvers:
+        raise ScenarioError(
+            f"scenario {loaded.name!r}: horizon = {loaded.horizon}: over before the first command"
+        )
+    return maneuvers
+
+
+def check_episodes(scenario: Scenario) -> int:
+    """The number of commands in an episode, which every evaluation needs.
+
+    Raises:
+        ScenarioError: its episodes have no end, or no commands.
+    """
+    if scenario.num_agents is None or scenario.command.probability == 0.0:
+        raise ScenarioError(
+            f"scenario {scenario.name!r}: an evaluation needs num_agents (is "
+            f"{scenario.num_agents}) and command.probability > 0 (is "
+            f"{scenario.command.probability})"
+        )
+    return scenario.num_agents

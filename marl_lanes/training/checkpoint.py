@@ -43,7 +43,7 @@ def make_network(scenario: Scenario, mu: str, hidden_sizes: list[int] | None = N
         [-bound],
         [bound],
         mu=mu,
-        hidden_sizes=hidden_sizes or (64, 64),
+        hidden_sizes=(64, 64) if hidden_sizes is None else hidden_sizes,
         offsets=offsets,
         scales=scales,
     )
@@ -97,7 +97,8 @@ def load_checkpoint(path: Path, scenario: Scenario | None = None) -> Checkpoint:
         network.load_state_dict(content["weights"])
         found = Checkpoint(network, str(content["scenario"]), int(content["transitions"]))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise CheckpointError(f"checkpoint {path}: inconsistent: {error}") from None
+        reason = str(error).partition("\n")[0]
+        raise CheckpointError(f"checkpoint {path}: inconsistent: {reason}") from None
     if scenario is not None:
         _check_fit(path, network, scenario)
     return found

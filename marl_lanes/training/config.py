@@ -1,6 +1,7 @@
 """The typed configuration of a training program; its values are in the program's YAML files."""
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -169,9 +170,15 @@ def check(config: TrainingConfig) -> None:
     for name, value in at_least_one.items():
         _require(value >= 1, name, value, "at least 1")
     for name, number in not_negative.items():
-        _require(number >= 0, name, number, "at least 0")
+        _require(0 <= number < inf, name, number, "at least 0 and finite")
     for name, number in positive.items():
-        _require(number > 0, name, number, "above 0")
+        _require(0 < number < inf, name, number, "above 0 and finite")
+    for name, seed in {"seed": config.seed, "evaluation.seed": config.evaluation.seed}.items():
+        _require(seed < 2**63, name, seed, "below 2^63")
+    sizes = config.network.hidden_sizes
+    _require(
+        len(sizes) > 0 and min(sizes) >= 1, "network.hidden_sizes", sizes, "widths of at least 1"
+    )
     loss, exploration = config.loss, config.exploration
     _require(0.0 <= loss.gamma <= 1.0, "loss.gamma", loss.gamma, "between 0 and 1")
     _require(0.0 < loss.tau <= 1.0, "loss.tau", loss.tau, "above 0 and at most 1")

@@ -29,7 +29,9 @@ class Table:
         if until is not None:
             with path.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.reader(file))[1:]
-            kept = [row for row in rows if int(row[0]) <= until and FINAL_MODEL not in row]
+            # A row cut short by a crash has no end; none of it counts.
+            whole = [row for row in rows if len(row) == len(self.columns)]
+            kept = [row for row in whole if int(row[0]) <= until and FINAL_MODEL not in row]
 
         def write(temporary: Path) -> None:
             with temporary.open("w", newline="", encoding="utf-8") as file:
@@ -63,10 +65,10 @@ class RunFolder:
 
     def __init__(self, path: Path, *, until: int | None = None) -> None:
         self.path = path
-        if until is None and self.config.exists():
+        if until is None and path.exists() and any(path.iterdir()):
             raise ConfigError(
-                f"output = {str(path)!r}: holds a run already; choose another folder, or continue "
-                f"it with resume={path}"
+                f"output = {str(path)!r}: must be a new or empty folder; a run that it holds "
+                f"already can be continued with resume={path}"
             )
         self.checkpoints.mkdir(parents=True, exist_ok=True)
         self.metrics = Table(

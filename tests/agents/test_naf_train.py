@@ -1,0 +1,275 @@
+"""The training program: its run folder, interruption, repetition, and what it refuses."""
+
+import csv
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from marl_lanes import load_scenario
+from marl_lanes.evaluation.metrics import summarise
+from marl_lanes.training.checkpoint import load_checkpoint
+
+PROGRAM = Path(__file__).parents[2] / "agents" / "naf" / "train.py"
+TINY = [
+    "num_threads=1",
+    "network.hidden_sizes=[8]",
+    "collector.num_envs=32",
+    "collector.steps_per_batch=4",
+    "collector.total_transitions=500",
+    "replay.warmup_transitions=64",
+    "replay.batch_size=16",
+    "optimizer.transitions_per_update=1",
+    "optimizer.pretraining_transitions=200",
+    "evaluation.save_interval=150",
+    "evaluation.num_maneuvers=2",
+    "evaluation.final_num_maneuvers=3",
+]
+PNG = b"\x89PNG\r\n\x1a\n"
+FIGURES = {"loss.png", "returns.png", "saved_models.png", "first_and_last.png"}
+
+
+def start(*options, folder):
+    return subprocess.Popen(
+        [sys.executable, str(PROGRAM), *options],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        start_new_session=True,
+    )
+
+
+def run_program(*options, folder):
+    process = start(*options, folder=folder)
+    out, err = process.communicate(timeout=200)
+    return process.returncode, out, err
+
+
+def rows(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def weights(run, name="final.pt"):
+    return torch.load(run / "checkpoints" / name, weights_only=True)["weights"]
+
+
+def assert_same_weights(one, other):
+    assert one.keys() == other.keys()
+    for key, value in one.items():
+        assert torch.equal(other[key], value), key
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """An uninterrupted run."""
+    folder = tmp_path_factory.mktemp("whole")
+    code, out, err = run_program(*TINY, "output=run", folder=folder)
+    assert code == 0, err[-3000:]
+    assert [path.name for path in folder.iterdir()] == ["run"]
+    return folder / "run", out, err
+
+
+def test_the_run_folder_is_complete(whole):
+    run, _, _ = whole
+    names = {path.name for path in run.iterdir()}
+    assert names == {
+        "config.yaml",
+        "metrics.csv",
+        "maneuvers.csv",
+        "evaluations.csv",
+        "evaluation.json",
+        "training.json",
+        "resume.pt",
+        "checkpoints",
+        "figures",
+        "tensorboard",
+    }
+    assert {path.name for path in (run / "figures").iterdir()} == FIGURES
+    for name in FIGURES:
+        assert (run / "figures" / name).read_bytes().startswith(PNG), name
+        assert (run / "figures" / name).stat().st_size > 5000, name
+    events = list((run / "tensorboard").glob("events.out.tfevents.*"))
+    assert events
+    assert sum(path.stat().st_size for path in events) > 500
+
+
+def test_the_tables(whole):
+    run, _, _ = whole
+    metrics = rows(run / "metrics.csv")
+    transitions = [int(row["transitions"]) for row in metrics]
+    assert transitions == sorted(transitions)
+    assert transitions[-2] < 500 <= transitions[-1]
+    # An update for each transition after the warm-up; stage one for 200 transitions.
+    assert [int(row["updates"]) for row in metrics] == [max(0, t - 64) for t in transitions]
+    before = [0, *transitions[:-1]]
+    assert [int(row["stage"]) for row in metrics] == [1 if t < 200 else 2 for t in before]
+    for row, start_ in zip(metrics, before, strict=True):
+        sigma = 0.05 + min(1.0, start_ / 6e6) * (0.01 - 0.05)
+        assert float(row["sigma"]) == pytest.approx(sigma, abs=1e-7)
+    assert float(metrics[-1]["loss"]) > 0.0
+    maneuvers = rows(run / "maneuvers.csv")
+    assert len(maneuvers) == sum(int(row["num_ended"]) for row in metrics)
+    saved = [now for last, now in zip(before, transitions, strict=True) if now // 150 > last // 150]
+    evaluations = rows(run / "evaluations.csv")
+    names = [*(f"step_{count:09d}.pt" for count in saved), "final.pt"]
+    assert len(saved) >= 2
+    assert [row["checkpoint"] for row in evaluations] == names
+    assert [int(row["transitions"]) for row in evaluations] == [*saved, transitions[-1]]
+    assert sorted(names) == sorted(path.name for path in (run / "checkpoints").iterdir())
+
+
+def test_the_evaluation(whole):
+    run, out, _ = whole
+    result = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
+    assert result["num_maneuvers"] == 3
+    assert (result["scenario"], result["seed"]) == ("paper", 1_000_000)
+    assert result["policy"] == "checkpoints/final.pt"
+    wanted = {"completion_rate", "collision_rate", "abort_rate", "missed_rate", "off_road_rate"}
+    wanted |= {"mean_return", "mean_return_acceleration", "mean_return_yaw_rate"}
+    wanted |= {"mean_return_deviation", "mean_optimal_return", "cost_ratio", "mean_duration"}
+    assert wanted < set(result)
+    assert set(result) == {"scenario", "policy", "seed", *all_keys()}
+    for key in wanted:
+        assert key in out
+    seconds = json.loads((run / "training.json").read_text(encoding="utf-8"))
+    assert all(value >= 0.0 for value in seconds.values())
+    assert len(seconds) >= 5
+
+
+def all_keys():
+    from test_docs import lane_change
+
+    return summarise([lane_change()])
+
+
+def test_the_stored_config_is_complete(whole):
+    run, _, _ = whole
+    stored = OmegaConf.load(run / "config.yaml")
+    assert stored.collector.num_envs == 32
+    assert stored.network.hidden_sizes == [8]
+    assert stored.recipe == "fast"
+    assert stored.loss.gamma == 0.99
+
+
+def test_mu_is_frozen_in_stage_one_alone(whole):
+    run, _, _ = whole
+    steps = sorted((run / "checkpoints").glob("step_*.pt"))
+    first, last = load_checkpoint(steps[0]), load_checkpoint(run / "checkpoints" / "final.pt")
+    assert first.transitions < 250
+    assert last.transitions >= 500
+    assert last.scenario == "paper"
+    load_checkpoint(run / "checkpoints" / "final.pt", load_scenario("paper"))
+    before, after = (weights(run, name) for name in (steps[0].name, "final.pt"))
+    assert any(not torch.equal(before[key], after[key]) for key in before if key.startswith("mu."))
+
+
+def test_an_interrupted_run_goes_on_as_if_it_had_not_been(whole, tmp_path):
+    reference, _, _ = whole
+    process = start(*TINY, "output=run", folder=tmp_path)
+    run = tmp_path / "run"
+    deadline = time.monotonic() + 150
+    while time.monotonic() < deadline and process.poll() is None:
+        path = run / "metrics.csv"
+        if path.exists() and len(path.read_bytes().splitlines()) > 3:
+            break
+        time.sleep(0.005)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=100)
+    assert process.returncode == 0, err[-3000:]
+    assert "Traceback" not in err
+    assert f"resume={run.name}" in out
+    assert not (run / "checkpoints" / "final.pt").exists()
+    assert (run / "resume.pt").exists()
+    total = len(rows(reference / "metrics.csv"))
+    assert 3 <= len(rows(run / "metrics.csv")) < total
+    code, out, err = run_program("resume=run", folder=tmp_path)
+    assert code == 0, err[-3000:]
+    assert_same_weights(weights(reference), weights(run))
+    for name in ("metrics.csv", "maneuvers.csv", "evaluations.csv", "evaluation.json"):
+        assert (run / name).read_bytes() == (reference / name).read_bytes(), name
+    assert {path.name for path in (run / "figures").iterdir()} == FIGURES
+
+
+def test_the_seed_decides(whole, tmp_path):
+    """The same seed gives the same weights; another one, under the paper's recipe, others."""
+    reference, _, _ = whole
+    code, _, err = run_program(*TINY, "output=again", folder=tmp_path)
+    assert code == 0, err[-3000:]
+    assert_same_weights(weights(reference), weights(tmp_path / "again"))
+    again = (tmp_path / "again" / "metrics.csv").read_bytes()
+    assert again == (reference / "metrics.csv").read_bytes()
+
+
+def test_the_papers_recipe(whole, tmp_path):
+    reference, _, _ = whole
+    options = ["recipe=paper", "loss.target_interval=100", "seed=1", "output=paper"]
+    code, _, err = run_program(*TINY, *options, folder=tmp_path)
+    assert code == 0, err[-3000:]
+    run = tmp_path / "paper"
+    assert OmegaConf.load(run / "config.yaml").loss.gamma == 0.95
+    assert OmegaConf.load(run / "config.yaml").collector.num_envs == 32
+    assert json.loads((run / "evaluation.json").read_text("utf-8"))["num_maneuvers"] == 3
+    one, other = weights(reference), weights(run)
+    assert any(not torch.equal(other[key], value) for key, value in one.items())
+
+
+def test_an_existing_run_is_refused(whole):
+    run, _, _ = whole
+    before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
+    code, _, err = run_program(*TINY, "output=run", folder=run.parent)
+    assert code != 0
+    assert "error: output = 'run': must be a new or empty folder" in err
+    assert "Traceback" not in err
+    assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
+
+
+@pytest.mark.parametrize("option", ["network.mu=foo", "nonsense=3"])
+def test_a_bad_value_is_one_error_and_no_folder(tmp_path, option):
+    code, out, err = run_program(*TINY, option, "output=run", folder=tmp_path)
+    assert code != 0
+    assert option.split("=")[0].split(".")[-1] in err
+    assert "Traceback" not in err
+    assert out == ""
+    assert len(err.strip().splitlines()) <= 8
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def program():
+    """The program as a module, in this process."""
+    spec = importlib.util.spec_from_file_location("naf_train", PROGRAM)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["scenario=nope"], "scenario 'nope': no such scenario"),
+        (["seed=-1"], "seed = -1: must be at least 0"),
+        (["+training_overrides.road.lanes=3"], "road.lanes: unknown key"),
+        (["network.mu=foo"], "foo"),
+        (["resume=absent"], "resume = 'absent'"),
+    ],
+)
+def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    with initialize_config_dir(str(PROGRAM.parent), version_base="1.3"):
+        given = compose("config", [*TINY, "output=run", *options])
+    with pytest.raises(ValueError, match="(?i)" + message.replace("(", r"\(")) as caught:
+        program.start(program.read_config(given))
+    assert len(str(caught.value).splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,88 @@
+"""Policies without learning."""
+
+import numpy as np
+import pytest
+
+from marl_lanes import ScenarioError, load_scenario
+from marl_lanes.evaluation.policies import make_lane_keeping_policy, make_random_policy
+from marl_lanes.evaluation.rollout import run_maneuvers
+from marl_lanes.traffic.state import Outcome
+
+PAPER = load_scenario("paper")
+# A waiting lane changer that keeps its lane has the target's centre a lane's width away.
+FEATURES = ("speed", "acceleration", "lateral_deviation", "yaw", "yaw_rate", "curvature")
+
+
+@pytest.mark.parametrize("name", ["curved", "paper"])
+def test_lane_keeping_never_changes_lanes(name):
+    scenario = load_scenario(name)
+    maneuvers = run_maneuvers(scenario, make_lane_keeping_policy(scenario), 20, seed=1)
+    assert {one.outcome for one in maneuvers} <= {Outcome.MISSED, Outcome.COLLISION}
+    assert sum(one.outcome == Outcome.MISSED for one in maneuvers) > 15
+    steered = [one.trace for one in maneuvers if len(one.trace) > 50]
+    assert len(steered) > 10
+    for rows in steered:
+        assert (rows["lateral_deviation"] == pytest.approx(3.75, abs=0.3)) or (
+            np.abs(rows["lateral_deviation"]).min() < 0.3
+        )
+
+
+@pytest.mark.parametrize(
+    ("deviation", "yaw", "yaw_rate", "curvature", "sign"),
+    [
+        (3.75, 0.0, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0, 0.0, 0.0),
+        (-7.5, 0.0, 0.0, 0.0, 0.0),
+        (3.85, 0.0, 0.0, 0.0, 1.0),
+        (3.65, 0.0, 0.0, 0.0, -1.0),
+        (3.75, 0.01, 0.0, 0.0, -1.0),
+        (3.75, 0.0, 0.01, 0.0, -1.0),
+        (3.75, 0.0, 0.04, 0.002, 0.0),
+    ],
+)
+def test_lane_keeping_steers_to_the_nearest_centre(deviation, yaw, yaw_rate, curvature, sign):
+    act = make_lane_keeping_policy(PAPER)
+    actions = act(np.asarray([[20.0, 0.0, deviation, yaw, yaw_rate, curvature]], np.float32))
+    assert actions.shape == (1, 1)
+    assert np.sign(np.round(actions[0, 0], 6)) == sign
+
+
+def test_lane_keeping_by_hand_and_within_its_bound():
+    act = make_lane_keeping_policy(PAPER)
+    rows = np.asarray(
+        [[20.0, 0.0, 3.85, 0.01, 0.02, 0.0], [20.0, 0.0, 3.75, 0.2, 0.0, 0.0]], np.float32
+    )
+    # 2^3 0.1/20 - 3 2^2 0.01 - 3 2 0.02
+    assert act(rows)[:, 0] == pytest.approx([0.04 - 0.12 - 0.12, -0.5], abs=1e-5)
+    assert act(rows[:0]).shape == (0, 1)
+
+
+def test_lane_keeping_finds_its_features_in_any_order():
+    shuffled = tuple(reversed(FEATURES))
+    other = load_scenario("paper", {"observation": {"features": shuffled}})
+    row = np.asarray([[20.0, 0.0, 3.85, 0.01, 0.02, 0.001]], np.float32)
+    actions = make_lane_keeping_policy(other)(row[:, ::-1])
+    assert actions == pytest.approx(make_lane_keeping_policy(PAPER)(row))
+
+
+@pytest.mark.parametrize("missing", ["speed", "lateral_deviation", "yaw", "yaw_rate", "curvature"])
+def test_lane_keeping_names_the_feature_that_it_lacks(missing):
+    features = [name for name in FEATURES if name != missing]
+    other = load_scenario("paper", {"observation": {"features": features}})
+    with pytest.raises(ScenarioError, match=rf"'paper'.*must hold \['{missing}'\]"):
+        make_lane_keeping_policy(other)
+
+
+def test_random_is_seeded_and_within_the_bound():
+    other = load_scenario("paper", {"action": {"max_yaw_acceleration": 0.2}})
+    rows = np.zeros((500, 6), np.float32)
+    first, again = (make_random_policy(other, 3)(rows) for _ in range(2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, make_random_policy(other, 4)(rows))
+    assert first.shape == (500, 1)
+    assert 0.19 < first.max() <= 0.2
+    assert -0.2 <= first.min() < -0.19
+    act = make_random_policy(PAPER, 3)
+    assert not np.array_equal(act(rows), act(rows))
+    assert act(rows).max() > 0.45
+    assert act(rows[:0]).shape == (0, 1)

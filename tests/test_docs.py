@@ -1,0 +1,171 @@
+"""The documentation against the code: links, examples, and every name that it must hold."""
+
+import dataclasses
+import re
+import subprocess
+import sys
+import typing
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from marl_lanes import Scenario, load_scenario
+from marl_lanes.evaluation.metrics import summarise
+from marl_lanes.traffic.observation import FEATURES
+from marl_lanes.training.checkpoint import make_network, save_checkpoint
+from marl_lanes.training.config import TrainingConfig
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted((ROOT / "agents").rglob("*.md"))]
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def text_of(path):
+    return path.read_text(encoding="utf-8")
+
+
+def anchors(path):
+    """The anchors of a page's headings."""
+    heads = re.findall(r"^#+ (.*)$", text_of(path), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+def with_blocks():
+    return [page for page in PAGES if BLOCK.search(text_of(page))]
+
+
+def names(page):
+    """What stands in backticks in the first column of the page's tables."""
+    rows = re.findall(r"^\|([^|]*)\|", text_of(page), re.MULTILINE)
+    return [re.findall(r"`([^`]+)`", row) for row in rows if "`" in row]
+
+
+def scenario_fields(kind=Scenario, prefix=""):
+    """Dotted names of the schema: [] for what lists hold, * for what maps hold."""
+    for name, field in kind.model_fields.items():
+        inner = field.annotation
+        origin, arguments = typing.get_origin(inner), typing.get_args(inner)
+        entry = next((one for one in arguments if isinstance(one, type)), None)
+        section = next(
+            (
+                one
+                for one in (inner, *arguments)
+                if isinstance(one, type) and issubclass(one, BaseModel)
+            ),
+            None,
+        )
+        if section is None or origin is not None:
+            assert entry is None or origin is not None
+            yield prefix + name
+        if section is not None:
+            mark = {None: ".", dict: ".*.", tuple: "[]."}[origin]
+            yield from scenario_fields(section, prefix + name + mark)
+
+
+def training_fields(kind=TrainingConfig, prefix=""):
+    for field in dataclasses.fields(kind):
+        if dataclasses.is_dataclass(field.type):
+            yield from training_fields(field.type, f"{prefix}{field.name}.")
+        else:
+            yield prefix + field.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_relative_link_leads_somewhere(page):
+    for link in LINK.findall(text_of(page)):
+        if re.match(r"[a-z]+:", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        assert target.is_relative_to(ROOT), link
+        assert target.exists(), link
+        if anchor:
+            assert anchor in anchors(target), link
+
+
+def test_the_pages_are_found_and_linked_from_their_index():
+    assert len(PAGES) > 8
+    linked = {link.partition("#")[0] for link in LINK.findall(text_of(DOCS / "README.md"))}
+    assert {page.name for page in DOCS.glob("*.md")} - {"README.md"} <= linked
+
+
+@pytest.mark.parametrize("page", with_blocks(), ids=lambda page: page.name)
+def test_every_example_runs(page, tmp_path):
+    """The page's blocks in order, each with its own names, in one process in an empty folder."""
+    # What the page on training reads: a checkpoint of a trained policy.
+    path = tmp_path / "runs" / "settled" / "checkpoints" / "final.pt"
+    save_checkpoint(path, make_network(load_scenario("settled"), "damped"), "settled", 0)
+    (tmp_path / "runs" / "paper").symlink_to(tmp_path / "runs" / "settled")
+    blocks = BLOCK.findall(text_of(page))
+    for index, block in enumerate(blocks):
+        (tmp_path / f"block_{index}.py").write_text(block, encoding="utf-8")
+    program = (
+        "import runpy\n"
+        f"for index in range({len(blocks)}):\n"
+        "    runpy.run_path(f'block_{index}.py', run_name='__main__')\n"
+        "    print('done', index)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert f"done {len(blocks) - 1}" in done.stdout
+
+
+def test_every_metric_is_documented():
+    documented = set()
+    for cells in names(DOCS / "metrics.md"):
+        # `mean_`, `max_peak_x` stands for mean_peak_x and max_peak_x.
+        if cells[0] == "mean_":
+            documented |= {cells[1], "mean_" + cells[1].removeprefix("max_")}
+        else:
+            documented |= set(cells)
+    measured = set(summarise([lane_change()]))
+    assert len(measured) > 25
+    assert documented == measured
+
+
+def lane_change():
+    """Metrics of one maneuver, of which only the names matter."""
+    from marl_lanes.evaluation.metrics import ManeuverMetrics
+    from marl_lanes.traffic.state import Outcome
+
+    values = {field.name: 0.0 for field in dataclasses.fields(ManeuverMetrics)}
+    return ManeuverMetrics(**(values | {"outcome": Outcome.COMPLETED}))
+
+
+def test_every_scenario_field_is_documented():
+    rows = {cells[0] for cells in names(DOCS / "scenarios.md")}
+    shipped = {path.stem for path in (ROOT / "scenarios").glob("*.yaml")}
+    fields = list(scenario_fields())
+    assert {"name", "road.arcs[].radius", "drivers.profiles.*.exponent", "gap.time_gap"} <= set(
+        fields
+    )
+    assert rows == set(fields) | shipped
+
+
+def test_every_feature_is_documented():
+    page = text_of(DOCS / "observations-and-actions.md")
+    section = page.partition("## Features")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\|([^|]*)\|", section, re.MULTILINE)
+    documented = {name for row in rows for name in re.findall(r"`([^`]+)`", row)}
+    assert documented == {feature.name for feature in FEATURES}
+    assert len(documented) == 17
+    marked = [re.findall(r"`([^`]+)` \*", row) for row in rows]
+    paper = load_scenario("paper").observation.features
+    assert [name for cells in marked for name in cells] == list(paper)
+
+
+def test_every_training_field_is_documented():
+    page = text_of(DOCS / "training.md")
+    section = page.partition("## Configuration")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| `([^`]+)` \|", section, re.MULTILINE)
+    assert sorted(rows) == sorted(training_fields())

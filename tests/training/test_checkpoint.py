@@ -1,0 +1,276 @@
+"""Checkpoints: whole, without code, and refused where they do not fit."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from marl_lanes import load_scenario
+from marl_lanes.naf.network import NAFNetwork
+from marl_lanes.training.checkpoint import (
+    CheckpointError,
+    greedy_policy,
+    load_checkpoint,
+    make_network,
+    save_checkpoint,
+)
+from marl_lanes.training.files import write_atomically, write_json
+from marl_lanes.training.resume import read_state
+
+torch.set_num_threads(1)
+PAPER = load_scenario("paper")
+
+
+class Attack:
+    """A pickle that makes a file when it is read carelessly."""
+
+    def __init__(self, target):
+        self.target = target
+
+    def __reduce__(self):
+        return Path.touch, (self.target,)
+
+
+def trained(mu="paper", scenario=PAPER):
+    """A network whose weights are not the initial ones."""
+    torch.manual_seed(3)
+    network = make_network(scenario, mu, [8, 4])
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return network
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "policy.pt"
+    save_checkpoint(file, trained(), "paper", 1234)
+    return file
+
+
+def states(count=50):
+    generator = np.random.default_rng(0)
+    high = [30.0, 2.0, 3.75, 0.05, 0.05, 0.002]
+    return (generator.uniform(-1.0, 1.0, (count, 6)) * high + [20, 0, 0, 0, 0, 0]).astype("f4")
+
+
+@pytest.mark.parametrize("mu", ["paper", "damped", "mlp"])
+def test_a_saved_policy_acts_as_before(tmp_path, mu):
+    file = tmp_path / "deep" / "folder" / "policy.pt"
+    network = trained(mu)
+    save_checkpoint(file, network, "paper", 77)
+    found = load_checkpoint(file, PAPER)
+    assert (found.scenario, found.transitions) == ("paper", 77)
+    assert found.network.config == network.config
+    assert found.network.hidden_sizes == [8, 4]
+    for key, value in network.state_dict().items():
+        assert torch.equal(found.network.state_dict()[key], value), key
+    expected = greedy_policy(network)(states())
+    assert np.array_equal(greedy_policy(found.network)(states()), expected)
+    assert expected.shape == (50, 1)
+    assert expected.dtype == np.float64
+    assert np.abs(expected).max() <= 0.5
+    assert len(np.unique(expected)) > 10
+    other = greedy_policy(make_network(PAPER, mu, [8, 4]))(states())
+    assert not np.array_equal(other, expected)
+    assert [entry.name for entry in file.parent.iterdir()] == ["policy.pt"]
+
+
+def test_greedy_actions_of_no_agents(path):
+    act = greedy_policy(load_checkpoint(path).network)
+    assert act(np.zeros((0, 6), np.float32)).shape == (0, 1)
+
+
+def test_it_holds_only_plain_types_and_tensors(path):
+    content = torch.load(path, weights_only=True)
+    assert {"config", "weights", "scenario", "transitions"} < set(content)
+    assert all(isinstance(value, torch.Tensor) for value in content["weights"].values())
+    network = NAFNetwork(**content["config"])
+    network.load_state_dict(content["weights"])
+
+
+@pytest.mark.parametrize("read", [load_checkpoint, read_state])
+@pytest.mark.parametrize("save", ["pickle", "torch"])
+def test_code_in_a_file_is_not_run(tmp_path, read, save):
+    target, file = tmp_path / "made", tmp_path / "evil.pt"
+    content = {"format": "marl-lanes NAF policy 1", "config": Attack(target)}
+    if save == "pickle":
+        file.write_bytes(pickle.dumps(content, protocol=2))
+    else:
+        torch.save(content, file)
+    with pytest.raises(CheckpointError, match=r"evil\.pt"):
+        read(file)
+    assert not target.exists()
+    torch.load(file, weights_only=False)  # It would have been made.
+    assert target.exists()
+
+
+def truncate(file, share):
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * share)])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.999])
+def test_a_truncated_file_is_refused(path, share):
+    truncate(path, share)
+    with pytest.raises(CheckpointError, match=r"policy\.pt") as caught:
+        load_checkpoint(path)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"hello\n",
+        b"\x80\x02",
+        b"PK\x03\x04 not a zip",
+        bytes(range(256)),
+        b"\x89PNG\r\n\x1a\n" * 20,
+        pickle.dumps([1, 2, 3], protocol=2),
+    ],
+)
+def test_other_files_are_refused(tmp_path, data):
+    file = tmp_path / "other.pt"
+    file.write_bytes(data)
+    for read in (load_checkpoint, read_state):
+        with pytest.raises(CheckpointError, match=r"other\.pt"):
+            read(file)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
+    for read in (load_checkpoint, read_state):
+        with pytest.raises(CheckpointError, match=r"absent\.pt"):
+            read(tmp_path / "absent.pt")
+        with pytest.raises(CheckpointError, match=tmp_path.name):
+            read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        [1, 2],
+        torch.zeros(3),
+        {},
+        {"format": "another"},
+        {"format": 3},
+        {"format": "marl-lanes training state 1"},
+    ],
+)
+def test_other_forms_are_refused(tmp_path, content):
+    file = tmp_path / "form.pt"
+    torch.save(content, file)
+    with pytest.raises(CheckpointError, match=r"form\.pt.*marl-lanes NAF policy 1"):
+        load_checkpoint(file)
+
+
+def test_a_checkpoint_is_not_a_training_state(path):
+    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 1"):
+        read_state(path)
+
+
+@pytest.mark.parametrize("key", ["config", "weights", "scenario", "transitions"])
+def test_what_lacks_a_part_is_refused(path, key):
+    content = torch.load(path, weights_only=True)
+    del content[key]
+    torch.save(content, path)
+    with pytest.raises(CheckpointError, match=rf"policy\.pt.*{key}"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("config", 3),
+        ("config", {"features": ["speed"]}),
+        ("config", {"mu": "wild"}),
+        ("weights", 3),
+        ("weights", {}),
+        ("weights", []),
+        ("transitions", "many"),
+        ("transitions", None),
+    ],
+)
+def test_inconsistent_parts_are_refused(path, key, value):
+    content = torch.load(path, weights_only=True)
+    if isinstance(value, dict) and value and key == "config":
+        value = content["config"] | value
+    content[key] = value
+    torch.save(content, path)
+    with pytest.raises(CheckpointError, match=r"policy\.pt"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    "features",
+    [
+        ["speed", "lateral_deviation", "yaw", "yaw_rate", "curvature"],
+        ["acceleration", "speed", "lateral_deviation", "yaw", "yaw_rate", "curvature"],
+        [*PAPER.observation.features, "time"],
+    ],
+)
+def test_other_features_are_refused(path, features):
+    other = load_scenario("paper", {"observation": {"features": features}})
+    with pytest.raises(CheckpointError, match=r"policy\.pt.*features") as caught:
+        load_checkpoint(path, other)
+    assert str(features) in str(caught.value)
+    assert str(list(PAPER.observation.features)) in str(caught.value)
+
+
+@pytest.mark.parametrize("bound", [0.4, 0.6])
+def test_another_bound_is_refused(path, bound):
+    other = load_scenario("paper", {"action": {"max_yaw_acceleration": bound}})
+    with pytest.raises(CheckpointError, match=rf"policy\.pt.*0\.5.*{bound}"):
+        load_checkpoint(path, other)
+
+
+def test_any_bound_that_fits_is_taken(tmp_path):
+    # 0.3 is not a float32 number.
+    other = load_scenario("paper", {"action": {"max_yaw_acceleration": 0.3}})
+    save_checkpoint(tmp_path / "p.pt", make_network(other, "paper"), "other", 0)
+    assert load_checkpoint(tmp_path / "p.pt", other).scenario == "other"
+
+
+def test_checkpoint_errors_are_value_errors():
+    assert issubclass(CheckpointError, ValueError)
+
+
+@pytest.mark.parametrize("partly", [False, True])
+def test_a_failed_write_leaves_the_old_file(tmp_path, partly):
+    file = tmp_path / "file.txt"
+    file.write_text("old", encoding="utf-8")
+
+    def fail(temporary):
+        if partly:
+            temporary.write_text("half", encoding="utf-8")
+        raise RuntimeError("disk full")
+
+    with pytest.raises(RuntimeError, match="disk full"):
+        write_atomically(file, fail)
+    assert file.read_text(encoding="utf-8") == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
+    with pytest.raises(RuntimeError, match="disk full"):
+        write_atomically(tmp_path / "new.txt", fail)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_a_write_replaces_the_old_file_at_once(tmp_path):
+    file = tmp_path / "file.txt"
+    file.write_text("old", encoding="utf-8")
+
+    def write(temporary):
+        temporary.write_text("new", encoding="utf-8")
+        assert temporary.parent == tmp_path
+        assert file.read_text(encoding="utf-8") == "old"
+
+    write_atomically(file, write)
+    assert file.read_text(encoding="utf-8") == "new"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_json_holds_no_nan(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "a.json", {"value": float("nan")})
+    assert list(tmp_path.iterdir()) == []

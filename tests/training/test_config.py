@@ -1,0 +1,178 @@
+"""The configuration: complete in every recipe, typed, and within its ranges."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.errors import ConfigCompositionException
+from omegaconf import OmegaConf
+
+from marl_lanes import LaneChangeEnv, load_scenario
+from marl_lanes.training.config import ConfigError, TrainingConfig, check, register
+
+FOLDER = Path(__file__).parents[2] / "agents" / "naf"
+RECIPES = ["fast", "paper"]
+
+
+def resolve(*overrides):
+    """What hydra makes of a command line."""
+    register()
+    with initialize_config_dir(str(FOLDER), version_base="1.3"):
+        return compose("config", list(overrides))
+
+
+def typed(*overrides):
+    return OmegaConf.to_object(resolve(*overrides))
+
+
+def fields(kind=TrainingConfig, prefix=""):
+    """Dotted names of every leaf field."""
+    for field in dataclasses.fields(kind):
+        if dataclasses.is_dataclass(field.type):
+            yield from fields(field.type, f"{prefix}{field.name}.")
+        else:
+            yield prefix + field.name
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_every_recipe_gives_every_field(recipe):
+    given = resolve(f"recipe={recipe}")
+    config = OmegaConf.to_object(given)
+    assert isinstance(config, TrainingConfig)
+    check(config)
+    assert config.recipe == recipe
+    names = list(fields())
+    assert len(names) > 25
+    for name in names:
+        assert not OmegaConf.is_missing(OmegaConf.select(given, name.rpartition(".")[0]), name)
+        OmegaConf.select(given, name, throw_on_missing=True)
+    assert set(dataclasses.asdict(config)) == {field.name for field in dataclasses.fields(config)}
+
+
+def test_the_recipes_on_the_folder_are_those_tested():
+    assert sorted(path.stem for path in (FOLDER / "recipe").iterdir()) == RECIPES
+
+
+def test_fast_is_the_default():
+    assert typed() == typed("recipe=fast")
+    assert typed() != typed("recipe=paper")
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_the_recipes_overrides_fit_the_scenario(recipe):
+    config = typed(f"recipe={recipe}")
+    env = LaneChangeEnv(config.scenario, 1, overrides=config.training_overrides)
+    # Collecting never waits for an episode's end, the evaluation has one.
+    assert env.scenario.num_agents is None
+    assert env.scenario.horizon is None
+    assert load_scenario(config.scenario).num_agents == 10
+
+
+def test_the_paper_recipe_has_the_papers_numbers():
+    config = typed("recipe=paper")
+    assert config.loss.gamma == 0.95
+    assert config.optimizer.learning_rate == 0.0005
+    assert config.replay.batch_size == 64
+    assert config.loss.target_update == "hard"
+    assert config.loss.target_interval == 1000
+    assert config.optimizer.pretraining_transitions == 200_000
+    assert config.collector.total_transitions == 400_000
+
+
+@pytest.mark.parametrize(
+    ("override", "name", "value"),
+    [
+        ("loss.gamma=0.5", "loss.gamma", 0.5),
+        ("loss.gamma=1", "loss.gamma", 1.0),
+        ("seed=0", "seed", 0),
+        ("network.mu=damped", "network.mu", "damped"),
+        ("network.hidden_sizes=[3]", "network.hidden_sizes", [3]),
+        ("optimizer.max_gradient_norm=null", "optimizer.max_gradient_norm", None),
+        ("optimizer.max_gradient_norm=2", "optimizer.max_gradient_norm", 2.0),
+        ("optimizer.pretraining_transitions=0", "optimizer.pretraining_transitions", 0),
+        ("exploration.initial_sigma=0.2", "exploration.initial_sigma", 0.2),
+        ("+training_overrides.road.num_lanes=5", "training_overrides.road.num_lanes", 5),
+    ],
+)
+def test_every_field_can_be_set(override, name, value):
+    given = resolve(override)
+    check(OmegaConf.to_object(given))
+    found = OmegaConf.select(given, name)
+    assert found == value
+    assert type(found) is type(value) or isinstance(value, list)
+
+
+BAD = [
+    ("num_threads", 0),
+    ("seed", -1),
+    ("collector.num_envs", 0),
+    ("collector.steps_per_batch", 0),
+    ("collector.total_transitions", 0),
+    ("collector.total_transitions", -5),
+    ("replay.capacity", 0),
+    ("replay.batch_size", 0),
+    ("replay.warmup_transitions", -1),
+    ("loss.gamma", -0.1),
+    ("loss.gamma", 1.1),
+    ("loss.gamma", "nan"),
+    ("loss.target_update", "firm"),
+    ("loss.tau", 0.0),
+    ("loss.tau", 1.5),
+    ("loss.target_interval", 0),
+    ("optimizer.learning_rate", 0.0),
+    ("optimizer.learning_rate", -0.001),
+    ("optimizer.mu_learning_rate", 0.0),
+    ("optimizer.learning_rate", "nan"),
+    ("optimizer.max_gradient_norm", 0.0),
+    ("optimizer.transitions_per_update", 0.0),
+    ("optimizer.pretraining_transitions", -1),
+    ("exploration.initial_sigma", -0.01),
+    ("exploration.initial_sigma", "nan"),
+    ("exploration.final_sigma", -0.01),
+    ("exploration.final_sigma", 0.5),
+    ("exploration.annealing_transitions", -1),
+    ("evaluation.save_interval", 0),
+    ("evaluation.num_maneuvers", 0),
+    ("evaluation.final_num_maneuvers", 0),
+    ("evaluation.seed", -1),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), BAD)
+def test_what_is_out_of_range_is_named(name, value):
+    config = typed(f"{name}={value}")
+    with pytest.raises(ConfigError, match=rf"^{name} = .*: must be ") as caught:
+        check(config)
+    assert isinstance(caught.value, ValueError)
+    assert str(value) in str(caught.value)
+
+
+def test_every_number_has_a_range():
+    given = resolve("recipe=fast")
+    numbers = {name for name in fields() if isinstance(OmegaConf.select(given, name), int | float)}
+    assert numbers == {name for name, _ in BAD} - {"loss.target_update"}
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["nonsense=1", "loss.gama=0.9", "network.depth=3", "recipe=wild", "collector.envs=4"],
+)
+def test_unknown_keys_and_recipes_are_refused(override):
+    with pytest.raises(ConfigCompositionException) as caught:
+        resolve(override)
+    unknown = override.split("=")[1 if override.startswith("recipe") else 0].split(".")[-1]
+    assert unknown in f"{caught.value} {caught.value.__cause__}"
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["collector.num_envs=many", "loss.gamma=high", "seed=1.5", "network.hidden_sizes=[x]"],
+)
+def test_values_of_another_type_are_refused(override):
+    with pytest.raises(ConfigCompositionException) as caught:
+        resolve(override)
+    name, value = override.split("=")
+    text = f"{caught.value} {caught.value.__cause__}"
+    assert value.strip("[]") in text
+    assert name in text

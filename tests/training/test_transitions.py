@@ -1,0 +1,208 @@
+"""From batches of slots to the rows of steering agents."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.collectors import Collector
+
+from marl_lanes import LaneChangeEnv
+from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
+
+torch.set_num_threads(1)
+
+FEATURES = ["speed", "acceleration", "lateral_deviation", "yaw", "yaw_rate", "curvature", "phase"]
+ROAD = 400.0
+PHASE = FEATURES.index("phase")
+BUSY = {
+    "num_agents": None,
+    "horizon": None,
+    "departures": {"interval": [1.5, 3.0]},
+    "command": {"probability": 1.0},
+    "num_slots": 4,
+    "observation": {"features": FEATURES},
+    "gap": {"minimum_gap": 0.5, "time_gap": 0.1},
+    "road": {"length": ROAD},
+}
+FAILURES = {Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD}
+
+collector_warnings = pytest.mark.filterwarnings(
+    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+)
+
+
+def steer(observation):
+    """Slow feedback toward the reference lane: the guard has the time to turn agents back."""
+    speed, _, deviation, yaw, yaw_rate, curvature, _ = observation.unbind(-1)
+    wanted = (0.3 * deviation).clamp(-0.8, 0.8) / speed.clamp(min=1.0)
+    action = 2.0 * (wanted - yaw) - 2.0 * (yaw_rate - curvature * speed)
+    return action.clamp(-0.5, 0.5).unsqueeze(-1)
+
+
+def steer_roughly(observation):
+    """The same at most speeds, full to one side at the others."""
+    return torch.where(observation[..., :1] % 5.0 < 0.7, 0.5, steer(observation))
+
+
+@pytest.fixture(scope="module")
+def batch():
+    """Two busy roads: waiting, engaged, aborting and absent slots, and every kind of end."""
+    env = LaneChangeEnv("adversarial", 2, overrides=BUSY, seed=3)
+    keys = [("changers", "observation")], [("changers", "action")]
+    return env.rollout(1200, TensorDictModule(steer_roughly, *keys), break_when_any_done=False)
+
+
+def loop(batch):
+    """Plain reference: (env, time, slot) of every row to keep, in order."""
+    phases = batch["changers", "observation"][..., PHASE]
+    # The slot of an agent that just ended still has its last observation.
+    shape, phases = phases.shape, (phases * batch["changers", "mask"]).tolist()
+    return [
+        (e, t, a)
+        for e in range(shape[0])
+        for t in range(shape[1])
+        for a in range(shape[2])
+        if phases[e][t][a] in {Phase.ENGAGED, Phase.ABORTING}
+    ]
+
+
+def test_the_rows_of_steering_agents_are_kept_and_no_others(batch):
+    rows = live_transitions(batch)
+    kept = loop(batch)
+    index = tuple(torch.tensor(kept).T)
+    assert rows.batch_size == (len(kept),)
+    assert set(rows.keys(True, True)) == {
+        "observation",
+        "action",
+        *(("next", key) for key in ("observation", "reward", "done", "terminated", "truncated")),
+    }
+    now, after = batch["changers"], batch["next", "changers"]
+    assert torch.equal(rows["observation"], now["observation"][index])
+    assert torch.equal(rows["action"], now["action"][index])
+    for key in ("observation", "reward", "done", "terminated", "truncated"):
+        assert torch.equal(rows["next", key], after[key][index]), key
+    # Something was dropped: waiting agents, and empty slots.
+    phases = now["observation"][..., PHASE]
+    for phase in Phase:
+        assert (phases == phase).any(), phase
+    assert len(kept) < int(now["mask"].sum()) < now["mask"].numel()
+
+
+def test_ends_are_the_agents_own(batch):
+    rows = live_transitions(batch)["next"]
+    kept = loop(batch)
+    outcome = batch["next", "changers", "outcome"][tuple(torch.tensor(kept).T)]
+    for end in (Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD, Outcome.MISSED):
+        assert (outcome == end).any(), end
+    terminated = torch.tensor([value.item() in FAILURES for value in outcome])
+    assert torch.equal(rows["terminated"].squeeze(-1), terminated)
+    assert torch.equal(rows["truncated"].squeeze(-1), outcome == Outcome.MISSED)
+    assert torch.equal(rows["done"].squeeze(-1), outcome != Outcome.UNFINISHED)
+
+
+def test_turning_back_to_waiting_bootstraps(batch):
+    rows = live_transitions(batch)
+    before, after = rows["observation"][:, PHASE], rows["next", "observation"][:, PHASE]
+    returned = (before == Phase.ABORTING) & (after == Phase.WAITING)
+    turned = (before == Phase.ENGAGED) & (after == Phase.ABORTING)
+    assert returned.sum() >= 3
+    assert turned.sum() >= 3
+    for chosen in (returned, turned):
+        for key in ("done", "terminated", "truncated"):
+            assert not rows["next", key][chosen].any()
+    # The new reference lane, the target again, is a lane's width away.
+    assert (rows["next", "observation"][returned, 2] - 3.75).abs().max() < 0.3
+
+
+def test_any_leading_shape_will_do(batch):
+    whole = live_transitions(batch)
+    flat = live_transitions(batch.reshape(-1))
+    assert (whole == flat).all()
+    parts = torch.cat([live_transitions(part) for part in (batch[:1], batch[1:])])
+    assert (whole == parts).all()
+    assert len(live_transitions(batch[:, :0])) == 0
+
+
+def test_finished_maneuvers_are_every_end_with_its_return(batch):
+    returns, outcomes = finished_maneuvers(batch)
+    expected = []
+    after = batch["next", "changers"]
+    running = {}
+    for e, t in torch.cartesian_prod(*(torch.arange(n) for n in batch.shape)).tolist():
+        for a in range(after.shape[-1]):
+            key = (e, a)
+            running[key] = running.get(key, 0.0) + after["reward"][e, t, a].item()
+            if after["outcome"][e, t, a] != Outcome.UNFINISHED:
+                expected.append((running.pop(key), after["outcome"][e, t, a].item()))
+    assert len(expected) > 20
+    assert outcomes.tolist() == [outcome for _, outcome in expected]
+    assert returns.tolist() == pytest.approx([value for value, _ in expected], abs=1e-3)
+
+
+class Spy(nn.Module):
+    """Counts the rows that it is given."""
+
+    def __init__(self):
+        super().__init__()
+        self.calls = []
+
+    def forward(self, observation):
+        assert observation.ndim == 2
+        self.calls.append(len(observation))
+        return observation[:, :1] * 0.01 + 0.1
+
+
+def test_the_policy_is_evaluated_for_steering_agents_alone(batch):
+    spy = Spy()
+    steps = batch.exclude(("changers", "action"), "next")
+    out = LivePolicy(spy, 1)(steps.clone())
+    engaged = batch["changers", "engaged"]
+    action = out["changers", "action"]
+    assert spy.calls == [int(engaged.sum())]
+    assert action.shape == (*engaged.shape, 1)
+    assert (action[~engaged] == 0.0).all()
+    speed = batch["changers", "observation"][..., :1]
+    assert torch.equal(action[engaged], (speed * 0.01 + 0.1)[engaged])
+    assert not action.requires_grad
+
+
+def test_the_policy_with_no_one_to_steer():
+    spy = Spy()
+    group = TensorDict(
+        {"observation": torch.ones(3, 2, 4), "engaged": torch.zeros(3, 2, dtype=torch.bool)}, [3, 2]
+    )
+    out = LivePolicy(spy, 1)(TensorDict({"changers": group}, [3]))
+    assert spy.calls == [0]
+    assert torch.equal(out["changers", "action"], torch.zeros(3, 2, 1))
+
+
+def test_no_gradient_flows_into_the_policy(batch):
+    layer = nn.Linear(len(FEATURES), 1)
+    out = LivePolicy(layer, 1)(batch[:, :200].clone())
+    assert not out["changers", "action"].requires_grad
+    assert out["changers", "action"].any()
+
+
+@collector_warnings
+def test_the_policy_drives_a_collector():
+    spy = Spy()
+    env = LaneChangeEnv("paper", 3, overrides=BUSY, seed=1)
+    collector = Collector(
+        env,
+        LivePolicy(spy, 1),
+        frames_per_batch=3 * 40,
+        total_frames=3 * 120,
+        track_traj_ids=False,
+        auto_register_policy_transforms=False,
+    )
+    batches = [data.clone() for data in collector]
+    collector.shutdown()
+    assert [data.shape for data in batches] == [(3, 40)] * 3
+    total = sum(int(data["changers", "engaged"].sum()) for data in batches)
+    assert sum(spy.calls) == total > 0
+    whole = torch.cat(batches, 1)
+    engaged = whole["changers", "engaged"]
+    assert (whole["changers", "action"][~engaged] == 0.0).all()
+    assert (whole["changers", "action"][engaged] != 0.0).all()
