@@ -202,16 +202,6 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(whole, tmp_path):
     assert {path.name for path in (run / "figures").iterdir()} == FIGURES
 
 
-def test_the_seed_decides(whole, tmp_path):
-    """The same seed gives the same weights; another one, under the paper's recipe, others."""
-    reference, _, _ = whole
-    code, _, err = run_program(*TINY, "output=again", folder=tmp_path)
-    assert code == 0, err[-3000:]
-    assert_same_weights(weights(reference), weights(tmp_path / "again"))
-    again = (tmp_path / "again" / "metrics.csv").read_bytes()
-    assert again == (reference / "metrics.csv").read_bytes()
-
-
 def test_the_papers_recipe(whole, tmp_path):
     reference, _, _ = whole
     options = ["recipe=paper", "loss.target_interval=100", "seed=1", "output=paper"]
