@@ -70,7 +70,7 @@ def make_batched() -> Contestant:
     """LaneChangeEnv.step with zero actions."""
     env = LaneChangeEnv("paper", NUM_ENVS, overrides={"num_agents": None, "horizon": None})
     data = env.reset()
-    data["changers", "action"] = torch.zeros(*env.action_spec.shape)
+    data.update(env.full_action_spec.zero())
     return _batched(lambda: env.step(data), env.simulator)
 
 

@@ -15,8 +15,8 @@ from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.traffic.state import Outcome, Phase, Records, allocate
 from marl_lanes.traffic.step import RESET, SKIP, STEP, run
 
-_ROADS_PER_THREAD = 64
-"""Below this many roads a second thread costs more than it saves."""
+_ROADS_PER_THREAD = 1024
+"""Below this many roads waking a second thread costs about what it saves."""
 
 
 class Simulator:
@@ -29,7 +29,7 @@ class Simulator:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
         num_envs: E, >= 1.
         seed: of the random numbers, 0 to 2^64 - 1.
-        num_threads: threads that share the roads; by default one for every 64 roads, at most the
+        num_threads: threads that share the roads; by default one for every 1024 roads, at most the
             number of processors.
         overrides: scenario fields to replace, as in ``load_scenario``.
 
