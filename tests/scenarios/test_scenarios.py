@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from pydantic import BaseModel
-from reference import damped_actions
+from staging import damped_actions
 
 from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
 from marl_lanes.scenario import schema as schema_module

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from reference import Car, Road, command, overlap_area, stage
+from reference import Car, Road, overlap_area
+from staging import command, stage
 
 from marl_lanes.traffic.collisions import is_overlapping
 from marl_lanes.traffic.simulator import Simulator

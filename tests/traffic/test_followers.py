@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from reference import command, stage
+from staging import command, stage
 
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.traffic.state import Disposition, Phase

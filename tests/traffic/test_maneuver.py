@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from reference import command, damped_actions, stage
+from staging import command, damped_actions, stage
 
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.traffic.state import Outcome, Phase

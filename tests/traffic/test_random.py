@@ -1,8 +1,8 @@
 """The random numbers: known answers, uniformity, independence of the streams."""
 
 import numpy as np
+import philox as reference
 import pytest
-import reference
 
 from marl_lanes.traffic.random import choice, philox, uniform
 from marl_lanes.traffic.simulator import Simulator

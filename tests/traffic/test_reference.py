@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from reference import Road, damped_actions
+from reference import Road
+from staging import damped_actions
 
 from marl_lanes.scenario import list_scenarios
 from marl_lanes.traffic.observation import FEATURES, feature_bounds

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from reference import command, damped_actions, stage
+from staging import command, damped_actions, stage
 
 from marl_lanes.traffic import state as tables
 from marl_lanes.traffic.simulator import Simulator

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from reference import damped_actions
+from staging import damped_actions
 
 from marl_lanes.scenario import list_scenarios
 from marl_lanes.traffic.simulator import Simulator

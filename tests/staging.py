@@ -1,0 +1,73 @@
+"""Traffic set up by hand, and a plain steering policy, for tests."""
+
+import math
+
+from reference import Car, Road
+
+from marl_lanes.traffic.state import Disposition, Outcome, Phase
+
+
+def damped_actions(simulator, noise=0.0, generator=None):
+    """(E, A, 1) yaw accelerations that complete the changes, crudely and, if asked, noisily."""
+    actions = [[[0.0] for _ in range(simulator.num_slots)] for _ in range(simulator.num_envs)]
+    width = simulator.scenario.road.lane_width
+    for env, slot in zip(*simulator.is_engaged.nonzero(), strict=True):
+        agent = simulator.agents[env, slot]
+        car = simulator.vehicles[env, agent["vehicle"]]
+        is_back = agent["phase"] == Phase.ABORTING
+        lane = agent["origin_lane"] if is_back else agent["target_lane"]
+        error = (lane + 0.5) * width - car["lateral_position"]
+        steering = error / max(car["speed"], 1.0) - 3.0 * (car["yaw"] + car["yaw_rate"])
+        if generator is not None:
+            steering += noise * generator.uniform(-1.0, 1.0)
+        actions[env][slot][0] = float(agent["direction"] * steering)
+    return actions
+
+
+def stage(simulator, *cars, env=0):
+    """Clear a road of its traffic and set these cars, each a dict of fields, into slots 0, 1, ...
+
+    Nobody departs any more. A car stands straight in the centre of its lane unless it says more.
+    """
+    vehicles, state = simulator.vehicles[env], simulator.state
+    vehicles["id"] = vehicles["agent"] = vehicles["changer"] = -1
+    vehicles["fate"] = simulator.roads["num_removed"][env] = 0
+    simulator.agents[env]["vehicle"] = -1
+    simulator.agents[env]["phase"] = Phase.ABSENT
+    simulator.agents[env]["outcome"] = Outcome.UNFINISHED
+    state.lanes[env]["next_departure"] = math.inf
+    road = simulator.roads[env : env + 1]
+    for slot, fields in enumerate(cars):
+        row = vehicles[slot]
+        for name in row.dtype.names:
+            row[name] = {"id": int(road["num_entered"][0]), "agent": -1, "changer": -1}.get(name, 0)
+        row["speed"], row["desired_speed"], row["command_position"] = 20.0, 30.0, math.inf
+        row["lateral_position"] = 3.75 * (fields["lane"] + 0.5)
+        row["disposition"] = Disposition.NEUTRAL
+        for name, value in fields.items():
+            row[name] = value
+        pose = Car(**{name: row[name] for name in Car.__annotations__ if name in row.dtype.names},
+                   slot=slot)  # fmt: skip
+        lanes = Road(simulator.scenario).lanes_of(pose)
+        row["lane_low"], row["lane_high"] = lanes[0], lanes[-1]
+        road["num_entered"] += 1
+    positions = vehicles["position"][: len(cars)]
+    state.order[env, : len(cars)] = sorted(range(len(cars)), key=lambda slot: -positions[slot])
+    road["num_live"], road["num_vehicles"] = 0, len(cars)
+    road["num_left"] = road["num_entered"] - len(cars) - road["num_collided"]
+
+
+def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
+    """Give the car in a slot a command; the agent's slot."""
+    slot = int(simulator.agents[env]["vehicle"].tolist().index(-1))
+    row, road = simulator.agents[env, slot], simulator.roads[env : env + 1]
+    lane = int(simulator.vehicles[env, vehicle]["lane"])
+    row["vehicle"], row["direction"], row["phase"] = vehicle, direction, phase
+    row["origin_lane"], row["target_lane"] = lane, lane + direction
+    row["command"], row["born_step"] = road["num_commands"][0], road["step"][0]
+    row["leader"] = row["follower"] = row["target_leader"] = row["target_follower"] = -1
+    row["num_aborts"] = row["engaged_steps"] = row["episode_reward"] = 0
+    simulator.vehicles[env, vehicle]["agent"] = slot
+    road["num_live"] += 1
+    road["num_commands"] += 1
+    return slot
