@@ -13,9 +13,18 @@ if TYPE_CHECKING:
     from marl_lanes.naf.loss import NAFLoss
     from marl_lanes.naf.network import NAFNetwork
     from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
+    from marl_lanes.traffic.external import (
+        FOLLOWER_COLUMNS,
+        FollowerError,
+        FollowerPolicy,
+        register_follower,
+    )
     from marl_lanes.traffic.simulator import Simulator
 
 _HOME_OF = {
+    "FOLLOWER_COLUMNS": "marl_lanes.traffic.external",
+    "FollowerError": "marl_lanes.traffic.external",
+    "FollowerPolicy": "marl_lanes.traffic.external",
     "LaneChangeEnv": "marl_lanes.envs.batched",
     "NAFLoss": "marl_lanes.naf.loss",
     "NAFNetwork": "marl_lanes.naf.network",
@@ -26,9 +35,13 @@ _HOME_OF = {
     "list_scenarios": "marl_lanes.scenario",
     "load_scenario": "marl_lanes.scenario",
     "parallel_env": "marl_lanes.envs.parallel",
+    "register_follower": "marl_lanes.traffic.external",
 }
 
 __all__ = [
+    "FOLLOWER_COLUMNS",
+    "FollowerError",
+    "FollowerPolicy",
     "LaneChangeEnv",
     "NAFLoss",
     "NAFNetwork",
@@ -39,6 +52,7 @@ __all__ = [
     "list_scenarios",
     "load_scenario",
     "parallel_env",
+    "register_follower",
 ]
 
 

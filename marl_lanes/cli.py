@@ -2,7 +2,10 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +14,7 @@ import yaml
 from marl_lanes.scenario import Scenario, list_scenarios, load_scenario
 
 _UNTRAINED = ("damped-prior", "lane-keeping", "random")
+_SCRIPTED = ("cooperative", "neutral", "adversarial")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,17 +47,90 @@ def _make_parser() -> argparse.ArgumentParser:
         description="Drive a policy on seeded traffic and print its metrics, which docs/metrics.md "
         "defines.",
     )
-    policy = evaluate.add_mutually_exclusive_group(required=True)
-    policy.add_argument(
-        "checkpoint", nargs="?", type=Path, help="a checkpoint of agents/naf/train.py"
-    )
-    policy.add_argument("--policy", choices=_UNTRAINED, help="a policy without learning instead")
-    evaluate.add_argument("--scenario", default="paper", help="name or YAML file (default: paper)")
-    evaluate.add_argument("--maneuvers", type=int, default=1000, help="how many (default: 1000)")
-    evaluate.add_argument("--seed", type=int, default=0, help="of the traffic (default: 0)")
-    evaluate.add_argument("--json", type=Path, help="write the metrics to this file as well")
+    _add_policy(evaluate, is_required=True)
+    _add_traffic(evaluate, num_maneuvers=1000)
     evaluate.set_defaults(run=_evaluate)
+
+    crossplay = commands.add_parser(
+        "crossplay",
+        help="drive every lane changer against every kind of follower",
+        description="Drive every lane changer against every kind of follower, each pair on the "
+        "same seeded traffic, and print what comes of it with 95 % confidence intervals; "
+        "docs/metrics.md says how they are made.",
+    )
+    crossplay.add_argument(
+        "--changers",
+        nargs="+",
+        required=True,
+        metavar="CHANGER",
+        help=f"checkpoints, or {', '.join(_UNTRAINED)}; CHANGER@SCENARIO drives on that scenario "
+        "instead of --scenario, with the followers replaced as well",
+    )
+    _add_followers(crossplay, required=True)
+    _add_traffic(crossplay, num_maneuvers=1000)
+    crossplay.add_argument("--figure", type=Path, help="draw heat maps to this file")
+    crossplay.set_defaults(run=_crossplay)
+
+    followers = commands.add_parser(
+        "followers",
+        help="draw the gap behind one and the same maneuver under every kind of follower",
+        description="Drive one and the same seeded maneuver under every kind of follower, draw the "
+        "gap behind the lane changer and the follower's acceleration over time, and print the mean "
+        "gap at the entry into the lane.",
+    )
+    _add_policy(followers, is_required=False)
+    _add_followers(followers, default=list(_SCRIPTED))
+    _add_traffic(followers, num_maneuvers=200)
+    followers.add_argument(
+        "--maneuver",
+        type=int,
+        help="which one to draw, from 0 (default: the first that engages with a follower near)",
+    )
+    followers.add_argument("--figure", type=Path, required=True, help="draw to this file")
+    followers.set_defaults(run=_compare_followers)
     return parser
+
+
+def _add_policy(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
+    policy = parser.add_mutually_exclusive_group(required=is_required)
+    policy.add_argument("checkpoint", nargs="?", help="a checkpoint of agents/naf/train.py")
+    note = "" if is_required else " (default: damped-prior)"
+    policy.add_argument(
+        "--policy", choices=_UNTRAINED, help="a policy without learning instead" + note
+    )
+
+
+def _add_followers(parser: argparse.ArgumentParser, **options: Any) -> None:
+    note = f" (default: {' '.join(options['default'])})" if "default" in options else ""
+    parser.add_argument(
+        "--followers",
+        nargs="+",
+        metavar="FOLLOWER",
+        help=f"{', '.join(_SCRIPTED)}, learned:CHECKPOINT, or a name given to register_follower"
+        + note,
+        **options,
+    )
+
+
+def _add_traffic(parser: argparse.ArgumentParser, *, num_maneuvers: int) -> None:
+    parser.add_argument("--scenario", default="paper", help="name or YAML file (default: paper)")
+    parser.add_argument(
+        "--maneuvers",
+        type=int,
+        default=num_maneuvers,
+        help=f"how many of each (default: {num_maneuvers})",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the traffic (default: 0)")
+    parser.add_argument(
+        "--import",
+        action="append",
+        default=[],
+        dest="modules",
+        metavar="MODULE",
+        help="import this module of yours first, which calls register_follower; it is looked for "
+        "in the current folder, too; may be given more than once",
+    )
+    parser.add_argument("--json", type=Path, help="write the numbers to this file as well")
 
 
 def _show_scenarios(options: argparse.Namespace) -> None:
@@ -71,15 +148,20 @@ def _evaluate(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.rollout import run_maneuvers
     from marl_lanes.training.files import write_json
 
-    if options.json is not None and options.json.is_dir():
-        raise ValueError(f"--json {options.json}: must be a file, is a folder")
+    _prepare(options)
     scenario = load_scenario(options.scenario)
-    name, policy = _make_policy(options, scenario)
-    show = _Progress(2 * max(1, options.maneuvers))
+    name = options.policy or options.checkpoint
+    policy = _make_policy(name, scenario, options.seed)
+    number = max(1, options.maneuvers)
+    show = _Progress("evaluating", 2 * number)
     maneuvers = run_maneuvers(
-        scenario, policy, options.maneuvers, seed=options.seed, progress=show.driven
+        scenario,
+        policy,
+        options.maneuvers,
+        seed=options.seed,
+        progress=lambda count: show(min(count, number)),
     )
-    summary = evaluate(maneuvers, scenario, progress=show.measured)
+    summary = evaluate(maneuvers, scenario, progress=lambda count: show(number + count))
     show.close()
     result = {"scenario": scenario.name, "policy": name, "seed": options.seed, **summary}
     for key, value in result.items():
@@ -88,46 +170,189 @@ def _evaluate(options: argparse.Namespace) -> None:
         write_json(options.json, result)
 
 
-def _make_policy(options: argparse.Namespace, scenario: Scenario) -> tuple[str, Any]:
-    """Name and function of the policy that the options name."""
+def _crossplay(options: argparse.Namespace) -> None:
+    from marl_lanes.evaluation.crossplay import crossplay
+    from marl_lanes.evaluation.tables import format_crossplay
+    from marl_lanes.training.files import write_json
+
+    _prepare(options)
+    sources = _label_changers(options.changers)
+    changers = {}
+    for label, (name, source) in sources.items():
+        scenario = load_scenario(source or options.scenario)
+        changers[label] = scenario, _make_policy(name, scenario, options.seed)
+    followers = _label_followers(options.followers)
+    show = _Progress("driving", len(changers) * len(followers) * options.maneuvers)
+    result = crossplay(changers, followers, options.maneuvers, seed=options.seed, progress=show)
+    show.close()
+    print(format_crossplay(result))
+    if options.json is not None:
+        policies = {label: name for label, (name, _) in sources.items()}
+        write_json(options.json, {**result, "policies": policies})
+    if options.figure is not None:
+        from marl_lanes.evaluation.figures import draw_crossplay
+
+        draw_crossplay(options.figure, result)
+
+
+def _compare_followers(options: argparse.Namespace) -> None:
+    from marl_lanes.evaluation.gaps import compare_followers
+    from marl_lanes.evaluation.tables import format_gaps
+    from marl_lanes.training.files import write_json
+
+    _prepare(options)
+    from marl_lanes.evaluation.figures import draw_gaps
+
+    scenario = load_scenario(options.scenario)
+    name = options.policy or options.checkpoint or "damped-prior"
+    policy = _make_policy(name, scenario, options.seed)
+    followers = _label_followers(options.followers)
+    show = _Progress("driving", len(followers) * options.maneuvers)
+    result = compare_followers(
+        scenario,
+        policy,
+        followers,
+        options.maneuvers,
+        seed=options.seed,
+        maneuver=options.maneuver,
+        progress=show,
+    )
+    show.close()
+    print(format_gaps(result))
+    if options.json is not None:
+        write_json(options.json, {"policy": name, **result})
+    draw_gaps(options.figure, result)
+
+
+def _prepare(options: argparse.Namespace) -> None:
+    """Refuse outputs that cannot be written, and import the user's modules."""
+    if options.json is not None and options.json.is_dir():
+        raise ValueError(f"--json {options.json}: must be a file, is a folder")
+    if getattr(options, "figure", None) is not None:
+        if find_spec("matplotlib") is None:
+            raise ValueError("--figure: needs matplotlib: pip install 'marl-lanes[train]'")
+        from marl_lanes.evaluation.figures import check_figure
+
+        check_figure(options.figure)
+    # An installed command does not look for modules where it is called.
+    folder = str(Path.cwd())
+    sys.path.insert(0, folder)
+    try:
+        for name in options.modules:
+            if not all(part.isidentifier() for part in name.split(".")):
+                raise ValueError(f"--import {name}: must be the dotted name of a module")
+            try:
+                import_module(name)
+            except ImportError as error:
+                raise ValueError(f"--import {name}: {error}") from None
+    finally:
+        sys.path.remove(folder)
+
+
+def _make_policy(name: str, scenario: Scenario, seed: int) -> Any:
+    """The policy of a name or of a checkpoint, which must fit the scenario."""
     from marl_lanes.evaluation import policies
 
-    if options.policy == "random":
-        return "random", policies.make_random_policy(scenario, options.seed)
-    if options.policy == "lane-keeping":
-        return "lane-keeping", policies.make_lane_keeping_policy(scenario)
+    if name == "random":
+        return policies.make_random_policy(scenario, seed)
+    if name == "lane-keeping":
+        return policies.make_lane_keeping_policy(scenario)
 
     import torch
 
-    from marl_lanes.training.checkpoint import greedy_policy, load_checkpoint, make_network
+    from marl_lanes.naf.checkpoint import greedy_policy
+    from marl_lanes.training.checkpoint import load_checkpoint, make_network
 
-    if options.policy == "damped-prior":
+    if name == "damped-prior":
         torch.manual_seed(0)
-        return "damped-prior", greedy_policy(make_network(scenario, "damped"))
-    return str(options.checkpoint), greedy_policy(
-        load_checkpoint(options.checkpoint, scenario).network
-    )
+        mu = "damped" if scenario.action.longitudinal is None else "damped+idm"
+        return greedy_policy(make_network(scenario, mu))
+    return greedy_policy(load_checkpoint(Path(name), scenario).network)
+
+
+def _label_changers(entries: Sequence[str]) -> dict[str, tuple[str, str | None]]:
+    """Label to policy and scenario, None where the entry names no scenario."""
+    _refuse_repeats("--changers", entries)
+    found: dict[str, tuple[str, str | None]] = {}
+    parts = {}
+    for entry in entries:
+        name, at, scenario = entry.rpartition("@")
+        if not at or Path(entry).is_file():
+            name, at, scenario = entry, "", ""
+        elif not name or not scenario:
+            raise ValueError(f"--changers {entry}: must be CHANGER or CHANGER@SCENARIO")
+        found[entry] = name, scenario or None
+        *folders, last = (name,) if name in _UNTRAINED else _name_parts(name)
+        parts[entry] = (*folders, last + at + Path(scenario).stem)
+    labels = _shorten(parts)
+    return {labels[entry]: value for entry, value in found.items()}
+
+
+def _label_followers(entries: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Label to what replaces fields of a scenario's followers."""
+    _refuse_repeats("--followers", entries)
+    paths = {}
+    for entry in entries:
+        name, colon, path = entry.partition(":")
+        if colon and (name != "learned" or not path):
+            raise ValueError(f"--followers {entry}: must be a name, or learned:CHECKPOINT")
+        if colon:
+            paths[entry] = path
+    labels = _shorten({entry: _name_parts(path) for entry, path in paths.items()})
+    found: dict[str, dict[str, Any]] = {}
+    for entry in entries:
+        if entry in paths:
+            override = {"mix": {"learned": 1.0}, "learned": {"checkpoint": paths[entry]}}
+            found[f"learned:{labels[entry].removeprefix('learned:')}"] = override
+        else:
+            found[entry] = {"mix": {entry: 1.0}}
+    return found
+
+
+def _refuse_repeats(option: str, entries: Sequence[str]) -> None:
+    for entry, count in Counter(entries).items():
+        if count > 1:
+            raise ValueError(f"{option} {entry}: must be given once")
+
+
+def _name_parts(path: str) -> tuple[str, ...]:
+    """What to call a checkpoint by, the last part first of all: run/checkpoints/final.pt is run."""
+    file = Path(path)
+    folders = [part for part in file.parent.parts if part != file.anchor]
+    if len(folders) > 1 and folders[-1] == "checkpoints":
+        *folders, run, _ = folders
+        return (*folders, run if file.stem == "final" else f"{run}/{file.stem}")
+    return (*folders, file.stem)
+
+
+def _shorten(parts: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """For every entry the shortest ending of its parts that no other has; else the entry."""
+    depths = dict.fromkeys(parts, 1)
+    while True:
+        labels = {entry: "/".join(parts[entry][-depth:]) for entry, depth in depths.items()}
+        counts = Counter(labels.values())
+        shared = [entry for entry, label in labels.items() if counts[label] > 1]
+        longer = [entry for entry in shared if depths[entry] < len(parts[entry])]
+        if not longer:
+            return labels | {entry: entry for entry in shared}
+        for entry in longer:
+            depths[entry] += 1
 
 
 class _Progress:
     """A percentage on the terminal; nothing where the output is not one."""
 
-    def __init__(self, total: int) -> None:
+    def __init__(self, activity: str, total: int) -> None:
+        self.activity = activity
         self.total = total
         self.is_shown = sys.stderr.isatty()
         self.last = -1
 
-    def driven(self, count: int) -> None:
-        self._show(min(count, self.total // 2))
-
-    def measured(self, count: int) -> None:
-        self._show(self.total // 2 + count)
-
-    def _show(self, count: int) -> None:
+    def __call__(self, count: int) -> None:
         percent = 100 * count // self.total
         if self.is_shown and percent != self.last:
             self.last = percent
-            print(f"\revaluating {percent:3d} %", end="", file=sys.stderr, flush=True)
+            print(f"\r{self.activity} {percent:3d} %", end="", file=sys.stderr, flush=True)
 
     def close(self) -> None:
         if self.is_shown:

@@ -8,17 +8,22 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.observation import feature_bounds
+from marl_lanes.envs.followers import find_policies
+from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.traffic.external import FollowerPolicy
+from marl_lanes.traffic.observation import feature_bounds, follower_feature_bounds
+from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.traffic.state import Outcome
 
 GROUP = "changers"
 """The group of the lane changers."""
+
+FOLLOWERS = "followers"
+"""The group of the learned followers."""
 
 
 class LaneChangeEnv(EnvBase):
@@ -28,14 +33,21 @@ class LaneChangeEnv(EnvBase):
 
     - ``observation`` (E, A, F) float32: the scenario's features; zeros in an absent slot, the last
       features in ``next`` of an agent that just ended.
-    - ``action`` (E, A, 1) float32: yaw acceleration [rad/s^2] in the maneuver frame; used where
-      ``engaged``, clipped to the bound.
+    - ``action`` (E, A, D) float32: yaw acceleration [rad/s^2] in the maneuver frame and, where the
+      scenario has it, longitudinal acceleration [m/s^2]; used where ``acting``, clipped.
     - ``mask`` (E, A) bool: live; at time t it says whose transition is valid.
     - ``engaged`` (E, A) bool: the agent steers, engaged or aborting.
+    - ``acting`` (E, A) bool: its action has an effect: where ``engaged``, or live where D is 2.
     - ``reward`` (E, A, 1) float32, ``episode_reward`` (E, A, 1): its sum since the command.
     - ``outcome`` (E, A) int64: ``traffic.state.Outcome``; set in the step that ends a command.
     - ``done``, ``terminated``, ``truncated`` (E, A, 1) bool: pulses at an agent's end. Completed,
       collision and off-road terminate; missed and the horizon truncate.
+
+    With ``learned_followers`` there is the group ``followers``: slot k is the driver behind the
+    changer of slot k in its target lane, live (``mask``) as long as the changer, ``acting`` while
+    it is paired: the changer is engaged. Its ``observation`` (E, A, G) has the columns
+    FOLLOWER_FEATURES, its ``action`` (E, A, 1) is the longitudinal acceleration [m/s^2]; the other
+    keys are as above, its end is the command's.
 
     The root's ``done`` (E, 1) says that a road's episode is over: all of the scenario's
     ``num_agents`` commands are finished (terminated), or its horizon is reached (truncated). With
@@ -49,9 +61,13 @@ class LaneChangeEnv(EnvBase):
         seed: of the random numbers.
         num_threads: as for ``Simulator``.
         overrides: scenario fields to replace, as in ``load_scenario``.
+        learned_followers: add the group ``followers``, of the drivers whose disposition is
+            ``learned``, or of all where the mix has none of these.
+        follower_policies: policies by their name in ``followers.mix``, before registered ones.
 
     Raises:
-        ScenarioError: the scenario cannot be.
+        ScenarioError: the scenario cannot be, or a follower of its mix has no policy.
+        CheckpointError: the checkpoint of the learned follower cannot be used.
         ValueError: another argument is out of range.
     """
 
@@ -64,15 +80,29 @@ class LaneChangeEnv(EnvBase):
         seed: int = 0,
         num_threads: int | None = None,
         overrides: Mapping[str, Any] | None = None,
+        learned_followers: bool = False,
+        follower_policies: Mapping[str, FollowerPolicy] | None = None,
     ) -> None:
+        loaded = load_scenario(scenario, overrides)
         self.simulator = Simulator(
-            scenario, num_envs, seed=seed, num_threads=num_threads, overrides=overrides
+            loaded,
+            num_envs,
+            seed=seed,
+            num_threads=num_threads,
+            learned_followers=learned_followers,
+            follower_policies=find_policies(
+                loaded, follower_policies, has_learner=learned_followers
+            ),
         )
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.scenario = self.simulator.scenario
         self.group_map = {
             GROUP: [f"changer_{slot}" for slot in range(self.simulator.num_slots)],
         }
+        if learned_followers:
+            self.group_map[FOLLOWERS] = [
+                f"follower_{slot}" for slot in range(self.simulator.num_slots)
+            ]
         self._is_restored = False
         self._make_specs()
 
@@ -90,45 +120,60 @@ class LaneChangeEnv(EnvBase):
 
     def _make_specs(self) -> None:
         num_envs, num_slots = self.simulator.num_envs, self.simulator.num_slots
-        low, high = (
-            torch.from_numpy(bound) for bound in feature_bounds(self.scenario.observation.features)
-        )
         group = (num_envs, num_slots)
-        features = (*group, low.shape[0])
         flag = Binary(1, shape=(*group, 1), dtype=torch.bool)
         mask = Binary(num_slots, shape=group, dtype=torch.bool)
-        self.observation_spec = self._group(
-            observation=Bounded(
-                low.expand(features), high.expand(features), features, dtype=torch.float32
-            ),
-            mask=mask,
-            engaged=mask.clone(),
-            episode_reward=Unbounded((*group, 1)),
-            outcome=Bounded(0, max(Outcome), group, dtype=torch.int64),
+        total = Unbounded((*group, 1))
+        low, high = action_bounds(self.scenario)
+        seen = {
+            GROUP: {
+                "observation": self._bounded(*feature_bounds(self.scenario.observation.features)),
+                "mask": mask,
+                "engaged": mask.clone(),
+                "acting": mask.clone(),
+                "episode_reward": total,
+                "outcome": Bounded(0, max(Outcome), group, dtype=torch.int64),
+            }
+        }
+        actions = {GROUP: {"action": self._bounded(low, high)}}
+        if FOLLOWERS in self.group_map:
+            seen[FOLLOWERS] = {
+                "observation": self._bounded(*follower_feature_bounds()),
+                "mask": mask.clone(),
+                "acting": mask.clone(),
+                "episode_reward": total.clone(),
+            }
+            actions[FOLLOWERS] = {"action": self._bounded(*follower_action_bounds(self.scenario))}
+        self.observation_spec = self._grouped(seen)
+        self.action_spec = self._grouped(actions)
+        self.reward_spec = self._grouped(
+            {name: {"reward": Unbounded((*group, 1))} for name in self.group_map}
         )
-        bound = self.scenario.action.max_yaw_acceleration
-        self.action_spec = self._group(
-            action=Bounded(-bound, bound, (*group, 1), dtype=torch.float32)
-        )
-        self.reward_spec = self._group(reward=Unbounded((*group, 1)))
         done = Binary(1, shape=(num_envs, 1), dtype=torch.bool)
+        names = ("done", "terminated", "truncated")
         self.done_spec = Composite(
             {
-                GROUP: Composite(
-                    done=flag, terminated=flag.clone(), truncated=flag.clone(), shape=group
-                ),
-                "done": done,
-                "terminated": done.clone(),
-                "truncated": done.clone(),
+                **{
+                    name: Composite({key: flag.clone() for key in names}, shape=group)
+                    for name in self.group_map
+                },
+                **{key: done.clone() for key in names},
             },
             shape=(num_envs,),
         )
         if self.device is not None:
             self.to(self.device)
 
-    def _group(self, **leaves: Any) -> Composite:
+    def _bounded(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> Bounded:
+        """The spec of (E, A, n) between two vectors (n,)."""
+        shape = (self.simulator.num_envs, self.simulator.num_slots, len(low))
+        bounds = (torch.from_numpy(bound).expand(shape) for bound in (low, high))
+        return Bounded(*bounds, shape, dtype=torch.float32)
+
+    def _grouped(self, groups: Mapping[str, Mapping[str, Any]]) -> Composite:
         shape = (self.simulator.num_envs, self.simulator.num_slots)
-        return Composite({GROUP: Composite(leaves, shape=shape)}, shape=shape[:1])
+        inner = {name: Composite(dict(leaves), shape=shape) for name, leaves in groups.items()}
+        return Composite(inner, shape=shape[:1])
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = None
@@ -140,49 +185,70 @@ class LaneChangeEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self._is_restored = False
-        actions = tensordict[GROUP, "action"].detach().cpu().numpy()
-        self.simulator.step(actions)
-        group = self._observe()
-        agents = self.simulator.agents
-        outcome = agents["outcome"]
-        has_ended = outcome != Outcome.UNFINISHED
+        actions = [
+            tensordict[group, "action"].detach().cpu().numpy()
+            for group in (GROUP, FOLLOWERS)
+            if group in self.group_map
+        ]
+        self.simulator.step(*actions)
+        groups = self._observe()
+        simulator = self.simulator
+        outcome = simulator.agents["outcome"]
+        has_ended = simulator.has_ended
         is_truncated = outcome >= Outcome.MISSED
-        group["reward"] = agents["reward"].astype(np.float32)[..., None]
-        group["done"] = has_ended[..., None]
-        group["terminated"] = (has_ended & ~is_truncated)[..., None]
-        group["truncated"] = is_truncated[..., None]
-        roads = self.simulator.roads
-        done = roads["is_done"].astype(np.bool_)
-        is_cut = roads["is_cut"].astype(np.bool_)
+        tables = {GROUP: simulator.agents, FOLLOWERS: simulator.state.followers}
+        for name, group in groups.items():
+            group["reward"] = tables[name]["reward"].astype(np.float32)[..., None]
+            group["done"] = has_ended[..., None]
+            group["terminated"] = (has_ended & ~is_truncated)[..., None]
+            group["truncated"] = is_truncated[..., None]
+        done = simulator.roads["is_done"].astype(np.bool_)
+        is_cut = simulator.roads["is_cut"].astype(np.bool_)
         return self._make_tensordict(
-            group,
+            groups,
             done=done[:, None],
             terminated=(done & ~is_cut)[:, None],
             truncated=is_cut[:, None],
         )
 
-    def _observe(self) -> dict[str, NDArray[Any]]:
-        agents = self.simulator.agents
-        return {
-            "observation": self.simulator.state.observations.copy(),
-            "mask": self.simulator.is_live,
-            "engaged": self.simulator.is_engaged,
-            "episode_reward": agents["episode_reward"].astype(np.float32)[..., None],
-            "outcome": agents["outcome"].astype(np.int64),
+    def _observe(self) -> dict[str, dict[str, NDArray[Any]]]:
+        simulator = self.simulator
+        agents, followers = simulator.agents, simulator.state.followers
+        groups = {
+            GROUP: {
+                "observation": simulator.state.observations.copy(),
+                "mask": simulator.is_live,
+                "engaged": simulator.is_engaged,
+                "acting": simulator.is_acting,
+                "episode_reward": agents["episode_reward"].astype(np.float32)[..., None],
+                "outcome": agents["outcome"].astype(np.int64),
+            }
         }
+        if FOLLOWERS in self.group_map:
+            groups[FOLLOWERS] = {
+                "observation": simulator.state.follower_observations.copy(),
+                "mask": simulator.is_live,
+                "acting": simulator.is_follower_acting,
+                "episode_reward": followers["episode_reward"].astype(np.float32)[..., None],
+            }
+        return groups
 
     def _make_tensordict(
-        self, group: Mapping[str, NDArray[Any]], **root: NDArray[np.bool_]
+        self, groups: Mapping[str, Mapping[str, NDArray[Any]]], **root: NDArray[np.bool_]
     ) -> TensorDict:
         shape = self.simulator.agents.shape
-        leaves: dict[str, Tensor] = {
-            key: torch.from_numpy(value).to(self.device) for key, value in group.items()
+        inner: dict[str, Any] = {
+            name: TensorDict(
+                {key: torch.from_numpy(value).to(self.device) for key, value in group.items()},
+                batch_size=shape,
+                device=self.device,
+            )
+            for name, group in groups.items()
         }
-        inner = TensorDict(leaves, batch_size=shape, device=self.device)
         outer: dict[str, Any] = {
             key: torch.from_numpy(value).to(self.device) for key, value in root.items()
         }
-        return TensorDict({GROUP: inner, **outer}, batch_size=self.batch_size, device=self.device)
+        return TensorDict({**inner, **outer}, batch_size=self.batch_size, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
         self.simulator.seed(0 if seed is None else seed)

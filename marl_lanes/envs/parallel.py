@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
-from marl_lanes.scenario import Scenario, ScenarioError
-from marl_lanes.traffic.observation import feature_bounds
+from marl_lanes.envs.followers import find_policies
+from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.traffic.external import FollowerPolicy
+from marl_lanes.traffic.observation import feature_bounds, follower_feature_bounds
+from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.traffic.state import NONE, Outcome, Phase
 
@@ -28,9 +31,35 @@ STATE_COLUMNS = (
 command, -1 without one."""
 
 _TERMINATING = {int(Outcome.COMPLETED), int(Outcome.COLLISION), int(Outcome.OFF_ROAD)}
-_TERMS = ("reward_acceleration", "reward_yaw_rate", "reward_deviation", "reward_failure")
+_TERMS = (
+    "reward_acceleration",
+    "reward_yaw_rate",
+    "reward_deviation",
+    "reward_failure",
+    "reward_delay",
+    "reward_longitudinal",
+)
 _FIELDS = ("command", "phase", "outcome", "num_aborts", "reward", *_TERMS)
-_ABSENT_INFO = dict.fromkeys(("phase", "outcome", "num_aborts", *_TERMS), 0.0)
+_FOLLOWER_TERMS = (
+    "reward_delay",
+    "reward_abort",
+    "reward_collision",
+    "reward_discomfort",
+    "reward_braking",
+)
+_INFO = ("phase", "outcome", "num_aborts", *_TERMS)
+_FOLLOWER_INFO = ("phase", "is_paired", *_FOLLOWER_TERMS)
+
+
+class Options(TypedDict, total=False):
+    """The keyword arguments of ``LaneChangeParallelEnv``, where they are explained."""
+
+    seed: int
+    fixed_agents: bool
+    overrides: Mapping[str, Any] | None
+    learned_followers: bool
+    follower_policies: Mapping[str, FollowerPolicy] | None
+
 
 Step = tuple[
     dict[str, NDArray[np.float32]],
@@ -51,9 +80,15 @@ class LaneChangeParallelEnv(ParallelEnv):
 
     Observation: the scenario's features in its order, (F,) float32, SI units, in the maneuver frame
     (positive toward the target lane). Action: yaw acceleration, (1,) float32 [rad/s^2], used while
-    the agent is engaged or aborting, clipped to the bound. Completed, collision and off-road
-    terminate; a missed command (the road ends) and the horizon truncate. Infos: phase, outcome
-    (codes of ``traffic.state``), num_aborts and the reward's four terms, as floats.
+    the agent is engaged or aborting, clipped to the bound; with ``action.longitudinal`` (2,), the
+    second the longitudinal acceleration [m/s^2], used while it is live. Completed, collision and
+    off-road terminate; a missed command (the road ends) and the horizon truncate. Infos: phase,
+    outcome (codes of ``traffic.state``), num_aborts and the reward's terms, as floats.
+
+    With ``learned_followers``, ``follower_k`` is the driver behind changer_k in its target lane,
+    live as long as changer_k. Its action, the longitudinal acceleration (1,) [m/s^2], is used while
+    the two are paired: changer_k is engaged and such a driver exists (``is_paired`` in its info).
+    Observation: FOLLOWER_FEATURES, (G,) float32, zeros where nobody is behind.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
@@ -63,9 +98,14 @@ class LaneChangeParallelEnv(ParallelEnv):
         fixed_agents: every dict holds every possible agent, those absent with zeros, as TorchRL's
             PettingZooWrapper needs it; ``agents`` still lists the live ones.
         overrides: scenario fields to replace, as in ``load_scenario``.
+        learned_followers: followers are agents too: those whose disposition is ``learned``, or all
+            where the mix has none of these.
+        follower_policies: policies by their name in ``followers.mix``, before registered ones.
 
     Raises:
-        ScenarioError: the scenario cannot be, or has no end (``num_agents: null``).
+        ScenarioError: the scenario cannot be, has no end (``num_agents: null``), or a follower of
+            its mix has no policy.
+        CheckpointError: the checkpoint of the learned follower cannot be used.
         ValueError: another argument is out of range.
     """
 
@@ -83,10 +123,21 @@ class LaneChangeParallelEnv(ParallelEnv):
         seed: int = 0,
         fixed_agents: bool = False,
         overrides: Mapping[str, Any] | None = None,
+        learned_followers: bool = False,
+        follower_policies: Mapping[str, FollowerPolicy] | None = None,
     ) -> None:
         if render_mode is not None:
             raise ValueError(f"render_mode = {render_mode!r}: must be None")
-        self.simulator = Simulator(scenario, seed=seed, num_threads=1, overrides=overrides)
+        loaded = load_scenario(scenario, overrides)
+        self.simulator = Simulator(
+            loaded,
+            seed=seed,
+            num_threads=1,
+            learned_followers=learned_followers,
+            follower_policies=find_policies(
+                loaded, follower_policies, has_learner=learned_followers
+            ),
+        )
         self.scenario = self.simulator.scenario
         if self.scenario.num_agents is None or self.scenario.command.probability == 0.0:
             raise ScenarioError(
@@ -96,18 +147,32 @@ class LaneChangeParallelEnv(ParallelEnv):
             )
         self.render_mode = render_mode
         self.fixed_agents = fixed_agents
-        self.possible_agents = [f"changer_{k}" for k in range(self.scenario.num_agents)]
         self.agents: list[str] = []
-        bound = self.scenario.action.max_yaw_acceleration
-        low, high = feature_bounds(self.scenario.observation.features)
-        self.observation_spaces = {agent: Box(low, high) for agent in self.possible_agents}
-        self.action_spaces = {
-            agent: Box(-bound, bound, (1,), np.float32) for agent in self.possible_agents
+        self.groups = ("changer", "follower") if learned_followers else ("changer",)
+        self.possible_agents = [
+            f"{group}_{k}" for group in self.groups for k in range(self.scenario.num_agents)
+        ]
+        self._rank = {agent: rank for rank, agent in enumerate(self.possible_agents)}
+        bounds = {
+            "changer": (
+                feature_bounds(self.scenario.observation.features),
+                action_bounds(self.scenario),
+            ),
+            "follower": (follower_feature_bounds(), follower_action_bounds(self.scenario)),
         }
+        self.observation_spaces = {}
+        self.action_spaces = {}
+        for agent in self.possible_agents:
+            seen, acted = bounds[agent.partition("_")[0]]
+            self.observation_spaces[agent] = Box(*seen)
+            self.action_spaces[agent] = Box(*acted)
         shape = (self.scenario.max_vehicles, len(STATE_COLUMNS))
         self.state_space = Box(-np.inf, np.inf, shape, np.float32)
-        self._zeros = np.zeros(low.shape, np.float32)
-        self._actions = np.zeros((1, self.simulator.num_slots, 1))
+        slots = self.simulator.num_slots
+        self._actions = {
+            "changer": np.zeros((1, slots, self.simulator.num_actions)),
+            "follower": np.zeros((1, slots, 1)),
+        }
         self._slots: dict[str, int] = {}
         self._finished: set[str] = set()
 
@@ -144,7 +209,8 @@ class LaneChangeParallelEnv(ParallelEnv):
         """Advance one time step, and on until an agent is live or the episode is over.
 
         Args:
-            actions: (1,) yaw acceleration for every live agent; those of others are not used.
+            actions: (D,) or, for followers, (1,) for every live agent; those of others are not
+                used.
 
         Raises:
             ValueError: a live agent's action is missing, misshapen or not finite.
@@ -152,8 +218,9 @@ class LaneChangeParallelEnv(ParallelEnv):
         if not self.agents:
             return {}, {}, {}, {}, {}
         for agent in self.agents:
-            self._actions[0, self._slots[agent], 0] = self._read_action(agent, actions)
-        self.simulator.step(self._actions)
+            group = agent.partition("_")[0]
+            self._actions[group][0, self._slots[agent]] = self._read_action(agent, actions)
+        self.simulator.step(*(self._actions[group] for group in self.groups))
         result = self._absent()
         self._collect(result)
         if not self.agents and not self.simulator.roads["is_done"][0]:
@@ -182,7 +249,7 @@ class LaneChangeParallelEnv(ParallelEnv):
     def close(self) -> None:
         """Nothing to release."""
 
-    def _read_action(self, agent: str, actions: Mapping[str, Any]) -> float:
+    def _read_action(self, agent: str, actions: Mapping[str, Any]) -> NDArray[np.float64]:
         try:
             action = actions[agent]
         except KeyError:
@@ -193,12 +260,14 @@ class LaneChangeParallelEnv(ParallelEnv):
             array = np.asarray(action, np.float64)
         except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"actions[{agent!r}] = {action!r}: {error}") from None
-        if array.shape != (1,):
-            raise ValueError(f"actions[{agent!r}] = {action!r}: must have shape (1,)")
-        number = float(array[0])
-        if not -np.inf < number < np.inf:
-            raise ValueError(f"actions[{agent!r}] = {number}: must be finite [rad/s^2]")
-        return number
+        shape = self.action_spaces[agent].shape
+        if array.shape != shape:
+            raise ValueError(f"actions[{agent!r}] = {action!r}: must have shape {shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(
+                f"actions[{agent!r}] = {array.tolist()}: must be finite [rad/s^2, m/s^2]"
+            )
+        return array
 
     def _collect(self, result: Step) -> None:
         """Write what the live agents and those that just ended have into the dicts."""
@@ -214,22 +283,41 @@ class LaneChangeParallelEnv(ParallelEnv):
             if phase == Phase.ABSENT and outcome == Outcome.UNFINISHED:
                 continue
             name = self.possible_agents[command]
+            is_over = outcome != Outcome.UNFINISHED
+            terminations[name] = outcome in _TERMINATING
+            truncations[name] = is_over and outcome not in _TERMINATING
             observations[name] = seen[slot].copy()
             rewards[name] = reward
-            terminations[name] = outcome in _TERMINATING
-            truncations[name] = outcome != Outcome.UNFINISHED and outcome not in _TERMINATING
             infos[name] = {
                 "phase": float(phase),
                 "outcome": float(outcome),
                 "num_aborts": float(aborts),
                 **dict(zip(_TERMS, terms, strict=True)),
             }
-            if outcome == Outcome.UNFINISHED:
-                self.agents.append(name)
-                self._slots[name] = slot
+            both = [name]
+            if len(self.groups) > 1:
+                both.append(f"follower_{command}")
+                self._collect_follower(slot, name, result)
+            if is_over:
+                self._finished.update(both)
             else:
-                self._finished.add(name)
-        self.agents.sort(key=self._order)
+                self.agents += both
+                self._slots.update(dict.fromkeys(both, slot))
+        self.agents.sort(key=self._rank.__getitem__)
+
+    def _collect_follower(self, slot: int, changer: str, result: Step) -> None:
+        """Write what the driver behind the changer of a slot has into the dicts."""
+        observations, rewards, terminations, truncations, infos = result
+        name = changer.replace("changer", "follower")
+        record = self.simulator.state.followers[0, slot]
+        observations[name] = self.simulator.state.follower_observations[0, slot].copy()
+        rewards[name] = float(record["reward"])
+        terminations[name], truncations[name] = terminations[changer], truncations[changer]
+        infos[name] = {
+            "phase": infos[changer]["phase"],
+            "is_paired": float(self.simulator.is_follower_acting[0, slot]),
+            **{term: float(record[term]) for term in _FOLLOWER_TERMS},
+        }
 
     def _absent(self) -> Step:
         """What the dicts say of agents that are not there: nothing, or zeros."""
@@ -237,11 +325,14 @@ class LaneChangeParallelEnv(ParallelEnv):
             return {}, {}, {}, {}, {}
         names = self.possible_agents
         return (
-            {name: self._zeros.copy() for name in names},
+            {name: np.zeros(self.observation_spaces[name].shape, np.float32) for name in names},
             dict.fromkeys(names, 0.0),
             {name: name in self._finished for name in names},
             dict.fromkeys(names, False),
-            {name: dict(_ABSENT_INFO) for name in names},
+            {
+                name: dict.fromkeys(_INFO if name.startswith("changer") else _FOLLOWER_INFO, 0.0)
+                for name in names
+            },
         )
 
     def _close_episode(self, result: Step) -> None:
@@ -251,30 +342,20 @@ class LaneChangeParallelEnv(ParallelEnv):
                 if name not in self._finished:
                     result[3][name] = True
 
-    def _order(self, agent: str) -> int:
-        return int(agent.removeprefix("changer_"))
-
 
 def parallel_env(
     scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
     render_mode: None = None,
-    *,
-    seed: int = 0,
-    fixed_agents: bool = False,
-    overrides: Mapping[str, Any] | None = None,
+    **options: Unpack[Options],
 ) -> LaneChangeParallelEnv:
     """The parallel environment; arguments as for ``LaneChangeParallelEnv``."""
-    return LaneChangeParallelEnv(
-        scenario, render_mode, seed=seed, fixed_agents=fixed_agents, overrides=overrides
-    )
+    return LaneChangeParallelEnv(scenario, render_mode, **options)
 
 
 def env(
     scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
     render_mode: None = None,
-    *,
-    seed: int = 0,
-    overrides: Mapping[str, Any] | None = None,
+    **options: Unpack[Options],
 ) -> AECEnv:
     """The same environment in PettingZoo's agent-environment-cycle form."""
-    return parallel_to_aec(parallel_env(scenario, render_mode, seed=seed, overrides=overrides))
+    return parallel_to_aec(parallel_env(scenario, render_mode, **options))

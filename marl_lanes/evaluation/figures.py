@@ -1,7 +1,8 @@
-"""The report's figures: the paper's Figures 6 to 8 for a run."""
+"""The report's figures, the paper's Figures 6 to 8 for a run, and those of the comparisons."""
 
 import csv
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,21 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from marl_lanes.evaluation.rollout import Maneuver
+from marl_lanes.evaluation.tables import format_estimate
 from marl_lanes.scenario import Scenario
 
 RUNNING_MEAN = 200
 """Maneuvers in the running mean of the returns."""
 
 _BLUE, _RED, _GREY = "#1f5fa8", "#c23b22", "#9aa0a6"
+
+_PANELS: tuple[tuple[str, str, float, int, list[float]], ...] = (
+    ("completion_rate", "completed [%]", 100.0, 1, [90.0, 100.0]),
+    ("abort_or_miss_rate", "aborted or missed [%]", 100.0, 1, [0.0, 10.0]),
+    ("collision_rate", "collided [%]", 100.0, 1, [0.0, 10.0]),
+    ("mean_time_to_completion", "time to complete [s]", 1.0, 2, []),
+)
+"""Key, title, factor, decimals of a cross-play's panels; values that the colours always span."""
 
 
 def draw_training(run: Path, pretraining_transitions: int, optimal_return: float | None) -> None:
@@ -80,6 +90,75 @@ def draw_maneuver(
     _save(figure, path)
 
 
+def check_figure(path: Path) -> None:
+    """Refuse, with a ValueError, a path that no figure can be written to."""
+    formats = sorted(Figure().canvas.get_supported_filetypes())
+    if path.is_dir() or path.suffix[1:].lower() not in formats:
+        raise ValueError(f"figure {path}: must be a file that ends in one of {', '.join(formats)}")
+
+
+def draw_crossplay(path: Path, result: Mapping[str, Any]) -> None:
+    """Heat maps, changers by followers, every cell with its value and interval.
+
+    Args:
+        path: of the picture.
+        result: of ``crossplay``.
+    """
+    changers, followers = list(result["changers"]), list(result["followers"])
+    pairs = {(pair["changer"], pair["followers"]): pair["statistics"] for pair in result["pairs"]}
+    width, height = 2.2 + 1.5 * len(followers), 1.6 + 0.8 * len(changers)
+    figure = Figure(figsize=(2.0 * width, 2.0 * height), layout="constrained")
+    panels: Any = figure.subplots(2, 2)
+    for axes, (key, title, factor, decimals, span) in zip(panels.flat, _PANELS, strict=True):
+        table = [[pairs[changer, label][key] for label in followers] for changer in changers]
+        values = factor * np.asarray([[cell["value"] for cell in row] for row in table], np.float64)
+        ends = [*values[np.isfinite(values)].tolist(), *span] or [0.0]
+        image = axes.imshow(
+            values, cmap="Blues", vmin=min(ends), vmax=max(ends), alpha=0.6, aspect="auto"
+        )
+        figure.colorbar(image, ax=axes)
+        for row, column in np.ndindex(values.shape):
+            text = format_estimate(table[row][column], factor, decimals).replace(" [", "\n[")
+            axes.text(column, row, text, ha="center", va="center")
+        axes.set_title(title)
+        axes.set_xticks(range(len(followers)), followers, rotation=20.0, ha="right")
+        axes.set_yticks(range(len(changers)), changers)
+    figure.suptitle(
+        f"{result['num_maneuvers']} maneuvers a cell, {100.0 * result['confidence']:g} % intervals"
+    )
+    _save(figure, path)
+
+
+def draw_gaps(path: Path, result: Mapping[str, Any]) -> None:
+    """One maneuver under every kind of follower: the gap behind it, the follower's acceleration.
+
+    Args:
+        path: of the picture.
+        result: of ``compare_followers``.
+    """
+    figure = Figure(figsize=(7.2, 6.0), layout="constrained")
+    panels: Any = figure.subplots(2, 1, sharex=True)
+    for label, found in result["followers"].items():
+        shown = found["shown"]
+        time = np.asarray(shown["time"])
+        for axes, name in zip(panels, ("gap", "follower_acceleration"), strict=True):
+            values = np.asarray(shown[name], np.float64)
+            (line,) = axes.plot(time, values, label=label)
+            for moment, mark in (("entry_time", "o"), ("abort_time", "x")):
+                if shown[moment] is not None:
+                    at = [int(np.abs(time - shown[moment]).argmin())]
+                    axes.plot(time[at], values[at], mark, color=line.get_color(), ms=8.0)
+    panels[0].set_ylabel("gap to the follower [m]")
+    panels[0].legend(title="o: in the lane, x: aborts")
+    panels[1].axhline(0.0, color=_GREY, lw=0.6)
+    panels[1].set_ylabel("follower's acceleration [m/s^2]")
+    panels[1].set_xlabel("time since engagement [s]")
+    figure.suptitle(
+        f"Maneuver {result['maneuver']} of seed {result['seed']} on {result['scenario']}"
+    )
+    _save(figure, path)
+
+
 def _read(path: Path) -> dict[str, NDArray[np.float64]]:
     """The numeric columns of a table; empty cells are nan."""
     with path.open(newline="", encoding="utf-8") as file:
@@ -116,5 +195,11 @@ def _mark_optimum(axes: Any, optimal_return: float | None) -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
+    """Write the picture, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        figure.savefig(temporary, dpi=120, format=path.suffix[1:])
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

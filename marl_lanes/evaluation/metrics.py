@@ -1,7 +1,7 @@
 """Metrics of recorded maneuvers; docs/metrics.md gives every definition, unit and source."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from math import inf, nan
 from typing import Any
 
@@ -34,6 +34,7 @@ class ManeuverMetrics:
     return_acceleration: float
     return_yaw_rate: float
     return_deviation: float
+    episode_reward: float
     num_steps: int
     duration: float
     waiting_time: float
@@ -46,6 +47,7 @@ class ManeuverMetrics:
     residual_overshoot: float
     min_time_to_collision: float
     max_follower_braking: float
+    max_changer_braking: float
     is_s_critical_violated: float
 
 
@@ -72,6 +74,7 @@ def measure(
         return_acceleration=returns[0],
         return_yaw_rate=returns[1],
         return_deviation=returns[2],
+        episode_reward=maneuver.episode_reward,
         num_steps=len(trace),
         duration=len(trace) * step,
         waiting_time=maneuver.waiting_time,
@@ -83,7 +86,8 @@ def measure(
         peak_lateral_jerk=_peak(_mean_jerk(lateral_acceleration, step)),
         residual_overshoot=max([0.0, *maneuver.residual_deviation]) if is_completed else nan,
         min_time_to_collision=_min_time_to_collision(trace),
-        max_follower_braking=_hardest_braking(trace),
+        max_follower_braking=_hardest_braking(trace["follower_acceleration"]),
+        max_changer_braking=_hardest_braking(trace["acceleration"]),
         is_s_critical_violated=_is_s_critical_violated(trace),
     )
 
@@ -133,9 +137,8 @@ def _min_time_to_collision(trace: NDArray[np.void]) -> float:
     return smallest
 
 
-def _hardest_braking(trace: NDArray[np.void]) -> float:
-    braking = -trace["follower_acceleration"]
-    braking = braking[np.isfinite(braking)]
+def _hardest_braking(acceleration: NDArray[np.float64]) -> float:
+    braking = -acceleration[np.isfinite(acceleration)]
     return max(0.0, float(braking.max())) if braking.size else nan
 
 
@@ -156,66 +159,74 @@ def _is_s_critical_violated(trace: NDArray[np.void]) -> float:
     return float(row["follower_gap"] < critical)
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    finite = [value for value in values if np.isfinite(value)]
-    return float(np.mean(finite)) if finite else None
+def _ended_by(outcome: Outcome) -> Callable[[ManeuverMetrics], float]:
+    return lambda row: float(row.outcome == outcome)
 
 
-def _extreme(values: Sequence[float], choose: Callable[[list[float]], float]) -> float | None:
-    finite = [value for value in values if np.isfinite(value)]
-    return float(choose(finite)) if finite else None
+def _if_completed(name: str) -> Callable[[ManeuverMetrics], float]:
+    return lambda row: float(getattr(row, name)) if row.outcome == Outcome.COMPLETED else nan
+
+
+_PEAKS = (
+    "peak_yaw_acceleration",
+    "peak_yaw_rate",
+    "peak_lateral_acceleration",
+    "peak_lateral_jerk",
+    "residual_overshoot",
+    "max_follower_braking",
+    "max_changer_braking",
+)
+
+AVERAGES: dict[str, Callable[[ManeuverMetrics], float]] = {
+    "completion_rate": _ended_by(Outcome.COMPLETED),
+    "collision_rate": _ended_by(Outcome.COLLISION),
+    "steering_collision_rate": lambda row: float(row.has_side_collision),
+    "abort_rate": lambda row: float(row.num_aborts > 0),
+    "mean_num_aborts": lambda row: float(row.num_aborts),
+    "missed_rate": _ended_by(Outcome.MISSED),
+    "abort_or_miss_rate": lambda row: float(row.num_aborts > 0 or row.outcome == Outcome.MISSED),
+    "off_road_rate": _ended_by(Outcome.OFF_ROAD),
+    "horizon_rate": _ended_by(Outcome.HORIZON),
+    "mean_return": _if_completed("return_"),
+    "mean_return_acceleration": _if_completed("return_acceleration"),
+    "mean_return_yaw_rate": _if_completed("return_yaw_rate"),
+    "mean_return_deviation": _if_completed("return_deviation"),
+    "mean_return_all": lambda row: row.return_,
+    "mean_episode_reward": lambda row: row.episode_reward,
+    "mean_optimal_return": _if_completed("optimal_return"),
+    "mean_num_steps": _if_completed("num_steps"),
+    "mean_duration": _if_completed("duration"),
+    "mean_waiting_time": lambda row: row.waiting_time,
+    "mean_time_to_completion": _if_completed("time_to_end"),
+    **{f"mean_{name}": _if_completed(name) for name in _PEAKS},
+    "mean_max_follower_braking_all": lambda row: row.max_follower_braking,
+    "s_critical_violation_rate": lambda row: row.is_s_critical_violated,
+}
+"""The metrics that are means over maneuvers: what each one contributes, nan where it does not."""
+
+
+def _finite(values: Iterable[float]) -> list[float]:
+    return [value for value in values if np.isfinite(value)]
 
 
 def summarise(measured: Sequence[ManeuverMetrics]) -> dict[str, Any]:
     """The metrics over all maneuvers; None where no maneuver defines one."""
-    total = len(measured)
-    completed = [row for row in measured if row.outcome == Outcome.COMPLETED]
-
-    def rate(*outcomes: Outcome) -> float:
-        return sum(row.outcome in outcomes for row in measured) / total
-
-    optimal = [row for row in completed if np.isfinite(row.optimal_return)]
-    mean_optimal = _mean([row.optimal_return for row in optimal])
-    ratio = None
-    if mean_optimal:
-        ratio = float(np.mean([row.return_ for row in optimal])) / mean_optimal
-    summary: dict[str, Any] = {
-        "num_maneuvers": total,
-        "completion_rate": rate(Outcome.COMPLETED),
-        "collision_rate": rate(Outcome.COLLISION),
-        "steering_collision_rate": sum(row.has_side_collision for row in measured) / total,
-        "abort_rate": sum(row.num_aborts > 0 for row in measured) / total,
-        "mean_num_aborts": sum(row.num_aborts for row in measured) / total,
-        "missed_rate": rate(Outcome.MISSED),
-        "off_road_rate": rate(Outcome.OFF_ROAD),
-        "horizon_rate": rate(Outcome.HORIZON),
-        "mean_return": _mean([row.return_ for row in completed]),
-        "mean_return_acceleration": _mean([row.return_acceleration for row in completed]),
-        "mean_return_yaw_rate": _mean([row.return_yaw_rate for row in completed]),
-        "mean_return_deviation": _mean([row.return_deviation for row in completed]),
-        "mean_return_all": _mean([row.return_ for row in measured]),
-        "mean_optimal_return": mean_optimal,
-        "cost_ratio": ratio,
-        "mean_num_steps": _mean([row.num_steps for row in completed]),
-        "mean_duration": _mean([row.duration for row in completed]),
-        "mean_waiting_time": _mean([row.waiting_time for row in measured]),
-        "mean_time_to_completion": _mean([row.time_to_end for row in completed]),
-    }
-    for name in (
-        "peak_yaw_acceleration",
-        "peak_yaw_rate",
-        "peak_lateral_acceleration",
-        "peak_lateral_jerk",
-        "residual_overshoot",
-        "max_follower_braking",
-    ):
-        values = [asdict(row)[name] for row in completed]
-        summary[f"mean_{name}"] = _mean(values)
-        summary[f"max_{name}".replace("max_max_", "max_")] = _extreme(values, max)
-    times = [row.min_time_to_collision for row in measured]
-    summary["min_time_to_collision"] = _extreme(times, min)
-    violations = [row.is_s_critical_violated for row in measured]
-    summary["s_critical_violation_rate"] = _mean(violations)
+    summary: dict[str, Any] = {"num_maneuvers": len(measured)}
+    for key, contribution in AVERAGES.items():
+        values = _finite(map(contribution, measured))
+        summary[key] = float(np.mean(values)) if values else None
+    optimal = [row for row in measured if np.isfinite(AVERAGES["mean_optimal_return"](row))]
+    summary["cost_ratio"] = None
+    if summary["mean_optimal_return"]:
+        mean = float(np.mean([row.return_ for row in optimal]))
+        summary["cost_ratio"] = mean / summary["mean_optimal_return"]
+    for name in _PEAKS:
+        key = f"max_{name}".replace("max_max_", "max_")
+        summary[key] = max(_finite(map(_if_completed(name), measured)), default=None)
+    of_all = _finite(row.max_follower_braking for row in measured)
+    summary["max_follower_braking_all"] = max(of_all, default=None)
+    times = _finite(row.min_time_to_collision for row in measured)
+    summary["min_time_to_collision"] = min(times, default=None)
     return summary
 
 

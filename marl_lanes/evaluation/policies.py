@@ -8,16 +8,17 @@ from numpy.typing import NDArray
 from marl_lanes.evaluation.rollout import Policy
 from marl_lanes.scenario import Scenario, ScenarioError
 
-_LANE_KEEPING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
+_STEERING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
+_CAR_FOLLOWING = "car_following_acceleration"
 
 
 def make_random_policy(scenario: Scenario, seed: int) -> Policy:
-    """Yaw accelerations drawn uniformly from the action's bounds."""
-    bound = scenario.action.max_yaw_acceleration
+    """Actions drawn uniformly from their bounds."""
+    low, high = _bounds(scenario)
     generator = np.random.default_rng(seed)
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        return generator.uniform(-bound, bound, (len(observations), 1))
+        return generator.uniform(low, high, (len(observations), low.size))
 
     return act
 
@@ -25,25 +26,41 @@ def make_random_policy(scenario: Scenario, seed: int) -> Policy:
 def make_lane_keeping_policy(scenario: Scenario) -> Policy:
     """Never change lanes: p^3 e/v - 3 p^2 psi - 3 p (omega - c v), e to the nearest lane's centre.
 
+    Where the action has a second dimension, that is what car following would do.
+
     Raises:
         ScenarioError: a feature that it needs is not observed.
     """
-    columns = _columns(scenario, _LANE_KEEPING_FEATURES)
-    bound = scenario.action.max_yaw_acceleration
+    has_longitudinal = scenario.action.longitudinal is not None
+    needed = (*_STEERING_FEATURES, _CAR_FOLLOWING) if has_longitudinal else _STEERING_FEATURES
+    columns = _columns(scenario, needed)
+    low, high = _bounds(scenario)
     pole = scenario.lane_keeping.pole
     width = scenario.road.lane_width
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        speed, deviation, yaw, yaw_rate, curvature = observations[:, columns].astype(np.float64).T
+        seen = observations[:, columns].astype(np.float64)
+        speed, deviation, yaw, yaw_rate, curvature = seen[:, : len(_STEERING_FEATURES)].T
         error = deviation - width * np.round(deviation / width)
         steering = (
             pole**3 * error / np.maximum(speed, 1.0)
             - 3.0 * pole**2 * yaw
             - 3.0 * pole * (yaw_rate - curvature * speed)
         )
-        return np.asarray(np.clip(steering, -bound, bound)[:, None])
+        actions = np.column_stack([steering, seen[:, len(_STEERING_FEATURES) :]])
+        return np.asarray(np.clip(actions, low, high))
 
     return act
+
+
+def _bounds(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The least and the largest action, each (D,)."""
+    yaw = scenario.action.max_yaw_acceleration
+    longitudinal = scenario.action.longitudinal
+    if longitudinal is None:
+        return np.array([-yaw]), np.array([yaw])
+    low = np.array([-yaw, -longitudinal.max_braking])
+    return low, np.array([yaw, longitudinal.max_acceleration])
 
 
 def _columns(scenario: Scenario, needed: Sequence[str]) -> list[int]:

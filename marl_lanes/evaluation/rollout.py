@@ -1,6 +1,6 @@
 """Maneuvers of a policy on seeded traffic, recorded step by step."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import ceil
 from typing import Any
@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.envs.followers import find_policies
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.traffic.external import FollowerPolicy
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.traffic.state import NONE, CollisionKind, Outcome, Phase
 
 Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
-"""Observations of N steering agents, (N, F), to their actions, (N, 1)."""
+"""Observations of N acting agents, (N, F), to their actions, (N, D)."""
 
 RESIDUAL_TIME = 10.0
 """[s] How long a vehicle is watched after it has completed."""
@@ -29,8 +31,10 @@ TRACE = np.dtype(
         ("yaw_before", "f8"),
         ("yaw_rate_before", "f8"),
         ("curvature", "f8"),
+        ("follower_gap_before", "f8"),  # inf where there is none
         # After the step, in the maneuver frame.
         ("speed", "f8"),
+        ("acceleration", "f8"),
         ("lateral_deviation", "f8"),
         ("yaw", "f8"),
         ("yaw_rate", "f8"),
@@ -40,6 +44,7 @@ TRACE = np.dtype(
         # Of the target lane's neighbors after the step; inf and nan where there is none.
         ("leader_gap", "f8"),
         ("leader_speed", "f8"),
+        ("follower_id", "i8"),  # serial number on its road, -1 where there is none
         ("follower_gap", "f8"),
         ("follower_speed", "f8"),
         ("follower_acceleration", "f8"),
@@ -67,6 +72,8 @@ class Maneuver:
     """From the command to the outcome [s]."""
     has_side_collision: bool
     """It ended in a collision that came across the road while it steered."""
+    episode_reward: float
+    """Sum of every term of the reward since the command, waiting included."""
     trace: NDArray[np.void]
     """(N,) TRACE, in the order of time; empty where it never engaged."""
     residual_deviation: list[float] = field(default_factory=list)
@@ -95,6 +102,7 @@ class _Recorder:
         rows["yaw_before"] = direction * cars["yaw"]
         rows["yaw_rate_before"] = direction * cars["yaw_rate"]
         rows["curvature"] = direction * self._curvature(cars["position"])
+        rows["follower_gap_before"] = self._gap(envs, cars, agents["target_follower"], -1.0)
         rows["road_turn_rate"] = rows["curvature"] * cars["speed"]
         self._pending = rows, envs, slots
 
@@ -106,7 +114,7 @@ class _Recorder:
         cars = simulator.vehicles[envs, agents["vehicle"]]
         direction = agents["direction"]
         rows["step"] = simulator.roads["step"][envs]
-        rows["speed"] = cars["speed"]
+        rows["speed"], rows["acceleration"] = cars["speed"], cars["acceleration"]
         rows["lateral_deviation"] = self._deviation(agents, cars, rows["phase"])
         for name in ("yaw", "yaw_rate", "yaw_acceleration"):
             rows[name] = direction * cars[name]
@@ -115,13 +123,12 @@ class _Recorder:
         for side, sign in (("leader", 1.0), ("follower", -1.0)):
             slot = agents[f"target_{side}"]
             others = simulator.vehicles[envs, slot]
-            length = simulator.scenario.vehicle.length
-            gap = sign * (others["position"] - cars["position"]) - length
-            rows[f"{side}_gap"] = np.where(slot == NONE, np.inf, gap)
+            rows[f"{side}_gap"] = self._gap(envs, cars, slot, sign)
             rows[f"{side}_speed"] = np.where(slot == NONE, np.nan, others["speed"])
             if side == "follower":
                 acceleration = np.where(slot == NONE, np.nan, others["acceleration"])
                 rows["follower_acceleration"] = acceleration
+                rows["follower_id"] = np.where(slot == NONE, NONE, others["id"])
         for name in ("reward_acceleration", "reward_yaw_rate", "reward_deviation"):
             rows[name] = agents[name]
         self.rows.append(rows)
@@ -145,6 +152,7 @@ class _Recorder:
                 waiting_time=lifetime * step,
                 time_to_end=lifetime * step,
                 has_side_collision=self._has_side_collision(env, slot, int(agent["command"])),
+                episode_reward=float(agent["episode_reward"]),
                 trace=np.zeros(0, TRACE),
             )
             self.maneuvers[env, maneuver.command] = maneuver
@@ -186,6 +194,13 @@ class _Recorder:
         centre = (lane + 0.5) * self.simulator.scenario.road.lane_width
         return np.asarray(agents["direction"] * (centre - cars["lateral_position"]))
 
+    def _gap(self, envs: Any, cars: Any, slot: Any, sign: float) -> NDArray[np.float64]:
+        """Bumper to bumper, to the vehicles ahead (sign 1) or behind (-1); inf where none is."""
+        others = self.simulator.vehicles[envs, slot]
+        length = self.simulator.scenario.vehicle.length
+        gap = sign * (others["position"] - cars["position"]) - length
+        return np.where(slot == NONE, np.inf, gap)
+
     def _curvature(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         curvature = np.zeros_like(position)
         for arc in self.simulator.scenario.road.arcs:
@@ -214,6 +229,7 @@ def run_maneuvers(
     num_maneuvers: int,
     *,
     seed: int = 0,
+    follower_policies: Mapping[str, FollowerPolicy] | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[Maneuver]:
     """The first ``num_maneuvers`` commands of seeded episodes, in the order of road and command.
@@ -223,28 +239,33 @@ def run_maneuvers(
 
     Args:
         scenario: with ``num_agents`` set.
-        policy: of every steering agent.
+        policy: of every agent whose action counts: it steers, or waits where actions are (N, 2).
         num_maneuvers: >= 1.
         seed: of the traffic.
+        follower_policies: by disposition, before those that are registered or saved.
         progress: called after every step with the number of commands finished so far.
 
     Raises:
-        ScenarioError: its episodes have no end, no commands, or end before the first one.
+        ScenarioError: its episodes have no end, no commands, or end before the first one; or no
+            policy is known for a disposition of its followers.
+        CheckpointError: that of the learned followers cannot be read or does not fit.
         ValueError: ``num_maneuvers`` is below 1.
     """
     if num_maneuvers < 1:
         raise ValueError(f"num_maneuvers = {num_maneuvers}: must be at least 1")
     loaded = load_scenario(scenario)
     num_roads = ceil(num_maneuvers / check_episodes(loaded))
-    simulator = Simulator(loaded, num_roads, seed=seed)
+    simulator = Simulator(
+        loaded, num_roads, seed=seed, follower_policies=find_policies(loaded, follower_policies)
+    )
     simulator.reset()
     recorder = _Recorder(simulator)
-    actions = np.zeros((simulator.num_envs, simulator.num_slots, 1))
+    actions = np.zeros((simulator.num_envs, simulator.num_slots, simulator.num_actions))
     while not simulator.roads["is_done"].all() or recorder.watched:
-        engaged = simulator.is_engaged
+        acting = simulator.is_acting
         actions.fill(0.0)
-        if engaged.any():
-            actions[engaged] = policy(simulator.state.observations[engaged])
+        if acting.any():
+            actions[acting] = policy(simulator.state.observations[acting])
         recorder.before()
         simulator.step(actions)
         recorder.after()

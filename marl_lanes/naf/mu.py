@@ -1,12 +1,12 @@
-"""The greedy action mu(s) of the quadratic Q-function: three structures and what they share.
+"""The greedy action mu(s) of the quadratic Q-function: its structures and what they share.
 
 Every mu maps the raw observation, for the columns of its formula, and the normalised one, for its
 networks, to an action inside the box. In the maneuver frame the lateral deviation is reference
 minus position, positive at the start; yaw and yaw rate are positive toward the target, so that
-d(deviation)/dt = -speed sin(yaw); the action is the yaw acceleration.
+d(deviation)/dt = -speed sin(yaw). The first action is the yaw acceleration [rad/s^2], a second one
+the longitudinal acceleration [m/s^2].
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from math import expm1, log
 
@@ -14,112 +14,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
+from marl_lanes.naf.layers import ActionBox, Heads
+
 # The share of the action bound below which a_max does not fall: a_max is a divisor.
 A_MAX_FLOOR = 0.01
-
-
-class ActionBox(nn.Module):
-    """The box low <= a <= high of admissible actions.
-
-    Args:
-        low: lower bounds, (action_dim,), in action units.
-        high: upper bounds, (action_dim,), each above its lower bound.
-
-    Raises:
-        ValueError: the bounds are not two finite, ordered vectors of one length.
-    """
-
-    low: Tensor
-    high: Tensor
-
-    def __init__(self, low: Sequence[float] | Tensor, high: Sequence[float] | Tensor) -> None:
-        super().__init__()
-        lower, upper = (torch.as_tensor(bound, dtype=torch.float32) for bound in (low, high))
-        if lower.ndim != 1 or lower.shape != upper.shape or not lower.numel():
-            raise ValueError(
-                "action_low and action_high must be vectors of one length, "
-                f"got shapes {tuple(lower.shape)} and {tuple(upper.shape)}"
-            )
-        if not (torch.isfinite(upper - lower) & (lower < upper)).all():
-            raise ValueError(f"need finite action_low < action_high, got {low} and {high}")
-        self.register_buffer("low", lower)
-        self.register_buffer("high", upper)
-
-    @property
-    def half_range(self) -> Tensor:
-        """(high - low) / 2, (action_dim,), in action units."""
-        return (self.high - self.low) / 2
-
-    @property
-    def centre(self) -> Tensor:
-        """(high + low) / 2, (action_dim,), in action units."""
-        return (self.high + self.low) / 2
-
-    def forward(self, action: Tensor) -> Tensor:
-        """The nearest point of the box, (..., action_dim)."""
-        return action.clamp(self.low, self.high)
-
-
-class Heads(nn.Module):
-    """Tanh networks side by side, whose outputs start near given values, whatever the input.
-
-    They have no weights in common; one batched product a layer evaluates them together, which for
-    networks of this size costs little more than one of them.
-
-    Args:
-        in_features: length of the input.
-        hidden_sizes: widths of the hidden layers of each network.
-        initial: initial outputs, for each network the same number of them.
-    """
-
-    # Small, not zero: with zero weights the hidden layers would get no gradient at first.
-    LAST_GAIN = 0.01
-
-    def __init__(
-        self, in_features: int, hidden_sizes: Sequence[int], initial: Sequence[Sequence[float]]
-    ) -> None:
-        super().__init__()
-        self.initial = [list(values) for values in initial]
-        widths = [in_features, *hidden_sizes, len(self.initial[0])]
-        self.num_layers = len(widths) - 1
-        for layer, (fan_in, fan_out) in enumerate(itertools.pairwise(widths)):
-            weight = torch.empty(len(self.initial), fan_in, fan_out)
-            self.register_parameter(f"weight_{layer}", nn.Parameter(weight))
-            bias = torch.empty(len(self.initial), 1, fan_out)
-            self.register_parameter(f"bias_{layer}", nn.Parameter(bias))
-        self.reset_parameters()
-
-    def layer(self, index: int) -> tuple[Tensor, Tensor]:
-        """Weight (networks, in, out) and bias (networks, 1, out) of a layer."""
-        return getattr(self, f"weight_{index}"), getattr(self, f"bias_{index}")
-
-    @property
-    def last_bias(self) -> Tensor:
-        """Bias of the last layer, (networks, 1, outputs)."""
-        return self.layer(self.num_layers - 1)[1]
-
-    def reset_parameters(self) -> None:
-        """Draws the weights anew and sets the last layer back to the initial outputs."""
-        with torch.no_grad():
-            for index in range(self.num_layers):
-                weight, bias = self.layer(index)
-                bound = weight.shape[1] ** -0.5  # that of nn.Linear
-                weight.uniform_(-bound, bound)
-                bias.uniform_(-bound, bound)
-            weight.mul_(self.LAST_GAIN)
-            bias.copy_(torch.tensor(self.initial).unsqueeze(1))
-
-    def forward(self, observation: Tensor) -> Tensor:
-        """(..., in_features) to (..., networks * outputs), network by network."""
-        rows = observation.flatten(end_dim=-2) if observation.ndim > 1 else observation[None]
-        hidden = rows.expand(len(self.initial), -1, -1)
-        for index in range(self.num_layers):
-            weight, bias = self.layer(index)
-            hidden = torch.baddbmm(bias, hidden, weight)
-            if index < self.num_layers - 1:
-                hidden = torch.tanh(hidden)
-        width = hidden.shape[0] * hidden.shape[2]
-        return hidden.transpose(0, 1).reshape(*observation.shape[:-1], width)
 
 
 class Mu(nn.Module):
@@ -157,12 +55,15 @@ class _YawAcceleration(Mu):
         super().__init__(name, features)
         if box.low.numel() != 1:
             raise ValueError(
-                f"mu {name!r} gives one action, the yaw acceleration; with {box.low.numel()} "
-                "actions only mu 'mlp' is allowed"
+                f"mu {name!r} gives one action, the yaw acceleration, and the box has "
+                f"{box.low.numel()}; allowed: {', '.join(_names_for(box.low.numel()))}"
             )
         self.bound = min(-box.low.item(), box.high.item())
         if self.bound <= 0:
-            raise ValueError(f"mu {name!r} needs an action box with zero inside")
+            raise ValueError(
+                f"mu {name!r} needs a yaw acceleration's bounds with zero inside, got "
+                f"[{box.low.item():g}, {box.high.item():g}]"
+            )
 
     def initial_limit_logit(self) -> float:
         """What `limit` maps to the initial a_max."""
@@ -263,18 +164,75 @@ class MLPMu(Mu):
         return self.box.centre + self.box.half_range * torch.tanh(self.action(normalised))
 
 
-STRUCTURES: dict[str, Callable[[str, Sequence[str], ActionBox, Sequence[int]], Mu]] = {
-    "paper": PaperMu,
-    "damped": DampedMu,
-    "mlp": MLPMu,
-}
+class CarFollowingMu(Mu):
+    """a = p + tanh(x) (high - p) where x > 0, p + tanh(x) (p - low) elsewhere; x = network(s).
+
+    p is the observed car_following_acceleration clipped to [low, high], and x is about 0 initially:
+    the learned correction starts from car following and can reach every acceleration inside the
+    bounds. With p on a bound it has no effect, and no gradient, toward that side.
+    """
+
+    needs = ("car_following_acceleration",)
+
+    def __init__(
+        self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
+    ) -> None:
+        super().__init__(name, features)
+        self.box = box
+        self.correction = Heads(len(features), hidden_sizes, [[0.0]])
+
+    def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
+        """The greedy longitudinal acceleration, (..., 1) [m/s^2]."""
+        prior = self.box(*self.read(observation))
+        share = torch.tanh(self.correction(normalised))
+        # Interpolations, and not the sums of the formula: rounding does not take them out.
+        faster = torch.lerp(prior, self.box.high, share)
+        slower = torch.lerp(prior, self.box.low, -share)
+        return torch.where(share > 0, faster, slower)
+
+
+Structure = Callable[[str, Sequence[str], ActionBox, Sequence[int]], Mu]
+
+LATERAL: dict[str, Structure] = {"paper": PaperMu, "damped": DampedMu}
+LONGITUDINAL: dict[str, Structure] = {"idm": CarFollowingMu, "mlp": MLPMu}
+STRUCTURES: dict[str, Structure] = {**LATERAL, "mlp": MLPMu}
+COMPOSED = tuple(f"{first}+{second}" for first in LATERAL for second in LONGITUDINAL)
+
+
+class ComposedMu(Mu):
+    """a = (lateral(s), longitudinal(s)), two structures with networks and bounds of their own.
+
+    Its name, "LATERAL+LONGITUDINAL", says which; the box has the yaw acceleration first.
+    """
+
+    def __init__(
+        self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
+    ) -> None:
+        super().__init__(name, features)
+        if box.low.numel() != 2:
+            raise ValueError(
+                f"mu {name!r} gives two actions, the yaw and the longitudinal acceleration, and "
+                f"the box has {box.low.numel()}; allowed: {', '.join(_names_for(box.low.numel()))}"
+            )
+        lateral, _, longitudinal = name.partition("+")
+        self.lateral = LATERAL[lateral](name, features, box.only(0), hidden_sizes)
+        self.longitudinal = LONGITUDINAL[longitudinal](name, features, box.only(1), hidden_sizes)
+        self.inside_box = self.lateral.inside_box and self.longitudinal.inside_box
+        self.needs = self.lateral.needs + self.longitudinal.needs
+        self.columns = self.lateral.columns + self.longitudinal.columns
+
+    def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
+        """The greedy yaw and longitudinal acceleration, (..., 2) [rad/s^2, m/s^2]."""
+        parts = (self.lateral, self.longitudinal)
+        return torch.cat([part(observation, normalised) for part in parts], dim=-1)
 
 
 def make_mu(name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]) -> Mu:
     """The structure of that name.
 
     Args:
-        name: "paper", "damped" or "mlp".
+        name: "paper" or "damped" for one action, "paper+idm", "damped+idm", "paper+mlp" or
+            "damped+mlp" for two, "mlp" for any number.
         features: names of the observation's columns.
         box: the admissible actions.
         hidden_sizes: widths of the hidden layers of each of its networks.
@@ -282,9 +240,17 @@ def make_mu(name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Se
     Raises:
         ValueError: the name is unknown, a column is missing, or the box does not fit.
     """
-    if name not in STRUCTURES:
-        raise ValueError(f"unknown mu {name!r}, allowed: {', '.join(STRUCTURES)}")
-    return STRUCTURES[name](name, features, box, hidden_sizes)
+    first, plus, second = name.partition("+")
+    if not plus and name in STRUCTURES:
+        return STRUCTURES[name](name, features, box, hidden_sizes)
+    if plus and first in LATERAL and second in LONGITUDINAL:
+        return ComposedMu(name, features, box, hidden_sizes)
+    raise ValueError(f"unknown mu {name!r}, allowed: {', '.join((*STRUCTURES, *COMPOSED))}")
+
+
+def _names_for(actions: int) -> tuple[str, ...]:
+    """The names of the structures that give so many actions."""
+    return {1: tuple(STRUCTURES), 2: (*COMPOSED, "mlp")}.get(actions, ("mlp",))
 
 
 def _logit(share: float) -> float:

@@ -9,7 +9,8 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
-from marl_lanes.naf.mu import ActionBox, Heads, make_mu
+from marl_lanes.naf.layers import ActionBox, Heads
+from marl_lanes.naf.mu import make_mu
 
 # Bounds of L in M = -L L^T: the logarithm of its diagonal, and an off-diagonal entry's ratio to
 # the diagonal entry of its row. With these the condition number of M stays below what float32
@@ -38,7 +39,9 @@ class NAFNetwork(TensorDictModuleBase):
         features: names of the observation's columns.
         action_low: lower bounds of the action, (action_dim,), in action units.
         action_high: upper bounds of the action, (action_dim,).
-        mu: structure of mu: "paper" (Eq. 6-7), "damped" (with yaw-rate feedback) or "mlp".
+        mu: structure of mu: "paper" (Eq. 6-7) or "damped" (with yaw-rate feedback) for one action;
+            for two these with "+idm" (car following and a correction) or "+mlp" for the second;
+            "mlp" for any number.
         hidden_sizes: widths of the hidden layers of every network.
         offsets: observation offsets, one a feature, in its unit; zeros where not given.
         scales: observation scales, one a feature, positive, in its unit; ones where not given.

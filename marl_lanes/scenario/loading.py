@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -135,4 +136,7 @@ def _fields_at(location: tuple[str | int, ...]) -> list[str]:
         else:
             # dict[str, X] and tuple[X, ...]: what every entry is.
             annotation = get_args(annotation)[1 if get_origin(annotation) is dict else 0]
+        if get_origin(annotation) in (Union, UnionType):
+            # A section that may be null.
+            annotation = get_args(annotation)[0]
     return list(annotation.model_fields)

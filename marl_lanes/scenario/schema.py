@@ -21,6 +21,7 @@ from marl_lanes.scenario.fields import (
     SpeedRange,
     has_weight,
 )
+from marl_lanes.scenario.followers import Followers
 
 
 class Arc(Section):
@@ -177,46 +178,6 @@ class Gap(Section):
     max_braking: Positive = Field(4.0, description="b_max of the vehicle behind [m/s^2], > 0")
 
 
-class Cooperative(Section):
-    """A follower that takes the engaged changer as its leader from engagement on."""
-
-    time_headway: Positive = Field(1.5, description="T toward the changer [s], > 0")
-    max_braking: Positive = Field(
-        2.0, description="hardest braking for a changer not yet in its lane [m/s^2], > 0"
-    )
-
-
-class Adversarial(Section):
-    """A follower that closes the gap until the changer's body is in its lane."""
-
-    desired_speed_factor: Positive = Field(
-        1.3, ge=1.0, le=2.0, description="on its desired speed [1], 1 to 2"
-    )
-    max_acceleration: Positive = Field(
-        3.0, le=10.0, description="a_m while it closes the gap [m/s^2], > 0 to 10"
-    )
-    time_headway: Positive = Field(0.5, description="T while it closes the gap [s], > 0")
-
-
-Disposition = Literal["cooperative", "neutral", "adversarial"]
-
-
-class Followers(Section):
-    """What the vehicle behind an engaged changer in its target lane does."""
-
-    mix: Annotated[dict[Disposition, Share], AfterValidator(has_weight)] = Field(
-        default={"neutral": 1.0},
-        description="share of each disposition [1]: cooperative, neutral, adversarial; 0 to "
-        "1e6, not all 0",
-    )
-    cooperative: Cooperative = Field(
-        default=Cooperative(), description="parameters of the cooperative ones [section]"
-    )
-    adversarial: Adversarial = Field(
-        default=Adversarial(), description="parameters of the adversarial ones [section]"
-    )
-
-
 class Completion(Section):
     """When an engaged changer has completed: every bound that is set holds."""
 
@@ -229,12 +190,34 @@ class Completion(Section):
     )
 
 
+class Longitudinal(Section):
+    """The second dimension of the action: the longitudinal acceleration of a live agent."""
+
+    max_acceleration: Positive = Field(
+        2.0, le=10.0, description="upper bound of the action [m/s^2], > 0 to 10"
+    )
+    max_braking: Positive = Field(
+        3.0, le=12.0, description="lower bound of the action, as a braking [m/s^2], > 0 to 12"
+    )
+    max_speed: Positive = Field(
+        40.0, le=70.0, description="it accelerates up to this speed [m/s], > 0 to 70"
+    )
+
+
 class Action(Section):
     """The agent's action."""
 
     max_yaw_acceleration: Positive = Field(
         0.5, le=5.0, description="bound of the yaw acceleration [rad/s^2], > 0 to 5"
     )
+    longitudinal: Longitudinal | None = Field(
+        None, description="a second action, the longitudinal acceleration [section], null without"
+    )
+
+    @property
+    def num_actions(self) -> int:
+        """D: 1, or 2 with the longitudinal acceleration."""
+        return 1 if self.longitudinal is None else 2
 
 
 FeatureName = Literal[
@@ -255,6 +238,8 @@ FeatureName = Literal[
     "target_follower_relative_speed",
     "phase",
     "time",
+    "car_following_acceleration",
+    "distance_to_end",
 ]
 PAPER_FEATURES: tuple[FeatureName, ...] = (
     "speed",
@@ -295,6 +280,14 @@ class Reward(Section):
     average_deviation: Positive = Field(1.875, description="d_avg [m], > 0")
     failure_penalty: NonNegative = Field(
         10.0, description="paid once at a collision or off the road [1], >= 0"
+    )
+    delay_weight: NonNegative = Field(
+        0.0, description="for each second since the command [1/s], >= 0"
+    )
+    longitudinal_weight: NonNegative = Field(
+        0.0,
+        description="on the square of what the longitudinal action departs from car following "
+        "[s^4/m^2], >= 0",
     )
 
 

@@ -4,9 +4,11 @@ cooperative: takes the engaged changer as its leader from engagement on, with a 
 gentle braking while the changer's body is not yet in its lane. neutral: plain car following; the
 changer counts once its body overlaps the lane. adversarial: until the body is in its lane it drives
 for a higher speed, with more acceleration and a shorter headway, as if the changer were not there;
-then it follows the car-following law, as hard as it must brake.
+then it follows the car-following law, as hard as it must brake. external: while it is paired, its
+policy's acceleration, within bounds; otherwise neutral.
 """
 
+import math
 from typing import Any
 
 from marl_lanes.traffic.compiled import internal
@@ -46,13 +48,126 @@ def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: A
 
 
 @internal
-def _is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
+def is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
     """Whether the target lane's follower, not itself commanded, overlaps the car lengthwise."""
     if follower == NONE:
         return False
     other = vehicles[follower]
     # Two that wait for each other's lane would both brake.
     return bool(other.agent == NONE and bumper_gap(other, car, constants) < 0.0)
+
+
+@internal
+def drive_commanded(
+    profile: Any,
+    phase: int,
+    limit: float,
+    free_road: float,
+    interaction: float,
+    ahead: float,
+    is_giving_way: bool,
+    is_sum_form: int,
+) -> float:
+    """Car following of a vehicle with a live command, or of one without [m/s^2].
+
+    Args:
+        profile: of the driver.
+        phase: of the command.
+        limit: a_m [m/s^2].
+        free_road: the free-road term [1].
+        interaction: the largest interaction term toward the leaders in the lanes of its body [1].
+        ahead: the same toward the leaders in its target lane; counts while engaged, and no harder
+            than comfortable while waiting [1].
+        is_giving_way: whether it waits beside a vehicle of the target lane and gives way to it.
+        is_sum_form: as in ``idm_acceleration``.
+    """
+    if phase == _ENGAGED:
+        interaction = max(interaction, ahead)
+    acceleration = idm_acceleration(limit, free_road, interaction, is_sum_form)
+    if phase == _WAITING:
+        aligning = idm_acceleration(limit, free_road, ahead, is_sum_form)
+        if is_giving_way:
+            aligning = -profile.comfortable_braking
+        acceleration = min(acceleration, max(aligning, -profile.comfortable_braking))
+    return acceleration
+
+
+@internal
+def car_following(agent: Any, vehicles: Any, profiles: Any, constants: Any) -> float:
+    """What car following would do with the agent's vehicle in the present state [m/s^2].
+
+    Its leaders are the agent's neighbors; the disposition of its driver does not enter.
+    """
+    car = vehicles[agent.vehicle]
+    profile = profiles[car.profile]
+    headway, scale, s0 = profile.time_headway, profile.braking_scale, profile.minimum_gap
+    interaction, ahead = 0.0, 0.0
+    if agent.leader != NONE and car.lane_low <= agent.origin_lane <= car.lane_high:
+        interaction = _interaction(car, vehicles[agent.leader], headway, scale, s0, constants)
+    if agent.target_leader != NONE:
+        ahead = _interaction(car, vehicles[agent.target_leader], headway, scale, s0, constants)
+        if car.lane_low <= agent.target_lane <= car.lane_high:
+            interaction = max(interaction, ahead)
+    acceleration = drive_commanded(
+        profile,
+        agent.phase,
+        profile.max_acceleration,
+        free_road_term(car.speed, car.desired_speed, profile.exponent),
+        interaction,
+        ahead,
+        is_beside(car, agent.target_follower, vehicles, constants),
+        constants.is_sum_form,
+    )
+    return float(max(acceleration, -constants.max_braking))
+
+
+@internal
+def _guard(car: Any, limit: float, lanes: Any, vehicles: Any, agents: Any, constants: Any) -> float:
+    """A limit (1 - (s*/s)^2) with the gap rule's d_min, tau and b_max for s0, T and b [m/s^2].
+
+    Toward the bodies ahead in the car's lanes and, of an engaged changer, in its target lane.
+    """
+    scale = 2.0 * math.sqrt(limit * constants.gap_max_braking)
+    headway, s0 = constants.gap_time, constants.gap_minimum
+    interaction = 0.0
+    for lane in range(car.lane_low, car.lane_high + 1):
+        front = lanes[lane].nearest
+        if front != NONE:
+            term = _interaction(car, vehicles[front], headway, scale, s0, constants)
+            interaction = max(interaction, term)
+    if car.agent != NONE and agents[car.agent].phase == _ENGAGED:
+        target = lanes[agents[car.agent].target_lane]
+        for front in (target.nearest, target.nearest_engaged):
+            if front != NONE:
+                term = _interaction(car, vehicles[front], headway, scale, s0, constants)
+                interaction = max(interaction, term)
+    return float(limit * (1.0 - interaction))
+
+
+@internal
+def _drive_external(
+    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, constants: Any
+) -> float:
+    """A follower's action, within its bounds, its speed limit and the guard [m/s^2]."""
+    limit = constants.external_max_acceleration
+    acceleration = min(max(wanted, -constants.external_max_braking), limit)
+    room = (constants.external_max_speed - car.speed) / constants.time_step
+    acceleration = min(acceleration, max(room, 0.0))
+    if constants.is_external_guarded:
+        acceleration = min(acceleration, _guard(car, limit, lanes, vehicles, agents, constants))
+    return float(acceleration)
+
+
+@internal
+def _drive_by_agent(
+    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, constants: Any
+) -> float:
+    """A changer's second action, within its bounds, its speed limit and the guard [m/s^2]."""
+    limit = constants.longitudinal_max_acceleration
+    acceleration = min(max(wanted, -constants.longitudinal_max_braking), limit)
+    room = (constants.longitudinal_max_speed - car.speed) / constants.time_step
+    acceleration = min(acceleration, max(room, 0.0))
+    return float(min(acceleration, _guard(car, limit, lanes, vehicles, agents, constants)))
 
 
 @internal
@@ -82,6 +197,7 @@ def _drive_among(
             )
             interaction = max(interaction, term)
     ahead = 0.0
+    is_giving_way = False
     phase = _ABSENT if car.agent == NONE else agents[car.agent].phase
     if phase in (_WAITING, _ENGAGED):
         target = lanes[agents[car.agent].target_lane]
@@ -91,16 +207,11 @@ def _drive_among(
                     car, vehicles[front], headway, scale, profile.minimum_gap, constants
                 )
                 ahead = max(ahead, term)
-    if phase == _ENGAGED:
-        interaction = max(interaction, ahead)
+        is_giving_way = is_beside(car, agents[car.agent].target_follower, vehicles, constants)
     free_road = free_road_term(car.speed, desired_speed, profile.exponent)
-    acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
-
-    if phase == _WAITING:
-        aligning = idm_acceleration(limit, free_road, ahead, constants.is_sum_form)
-        if _is_beside(car, agents[car.agent].target_follower, vehicles, constants):
-            aligning = -profile.comfortable_braking
-        acceleration = min(acceleration, max(aligning, -profile.comfortable_braking))
+    acceleration = drive_commanded(
+        profile, phase, limit, free_road, interaction, ahead, is_giving_way, constants.is_sum_form
+    )
     if has_changer and car.disposition == _COOPERATIVE:
         headway = constants.cooperative_time_headway
         term = _interaction(
@@ -115,9 +226,20 @@ def _drive_among(
 
 @internal
 def accelerate(
-    road: Any, lanes: Any, vehicles: Any, order: Any, agents: Any, profiles: Any, constants: Any
+    road: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    followers: Any,
+    actions: Any,
+    follower_actions: Any,
+    profiles: Any,
+    constants: Any,
 ) -> None:
     """Set every vehicle's acceleration, not below the physical braking limit.
+
+    Car following, unless an agent's second action or an external follower's action stands for it.
 
     One sweep from the front of the road to its rear, in which each lane remembers the vehicle last
     seen in it: the leader of the next one.
@@ -134,6 +256,15 @@ def accelerate(
             acceleration = _drive_alone(car, profile, front, vehicles, constants)
         else:
             acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
+        if car.agent != NONE and constants.has_longitudinal:
+            agents[car.agent].car_following = max(acceleration, -constants.max_braking)
+            wanted = actions[car.agent, 1]
+            acceleration = _drive_by_agent(car, wanted, lanes, vehicles, agents, constants)
+        elif car.changer != NONE and constants.num_external > 0:
+            index = vehicles[car.changer].agent
+            if followers[index].vehicle == slot:
+                wanted = follower_actions[index, 0]
+                acceleration = _drive_external(car, wanted, lanes, vehicles, agents, constants)
         car.acceleration = max(acceleration, -constants.max_braking)
         for lane in range(car.lane_low, car.lane_high + 1):
             lanes[lane].nearest = slot

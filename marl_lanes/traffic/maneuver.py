@@ -147,3 +147,4 @@ def clear_agent(agent: Any) -> None:
     agent.target_leader = agent.target_follower = NONE
     agent.reward = agent.reward_acceleration = agent.reward_yaw_rate = 0.0
     agent.reward_deviation = agent.reward_failure = 0.0
+    agent.reward_delay = agent.reward_longitudinal = agent.car_following = 0.0

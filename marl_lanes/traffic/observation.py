@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_lanes.traffic.compiled import internal
+from marl_lanes.traffic.followers import car_following
 from marl_lanes.traffic.kinematics import curvature_at
 from marl_lanes.traffic.maneuver import lateral_deviation
+from marl_lanes.traffic.neighbors import bumper_gap
 from marl_lanes.traffic.state import NONE
 
 
@@ -49,14 +51,34 @@ FEATURES = (
     ),
     Feature("phase", "1", 2.0, 1.0, 0.0, 3.0, "1 waiting, 2 engaged, 3 aborting"),
     Feature("time", "s", 10.0, 10.0, 0.0, 1e6, "since the command"),
+    Feature(
+        "car_following_acceleration", "m/s^2", 0.0, 2.0, -20.0, 20.0, "what car following would do"
+    ),
+    Feature("distance_to_end", "m", 500.0, 500.0, -100.0, 1e5, "to the road's end"),
 )
 """Every feature that a scenario may name. Where there is no neighbor its gap is the scenario's
 ``sensor_range``, at which gaps are cut off, and its relative speed 0."""
+
+FOLLOWER_FEATURES = (
+    Feature("speed", "m/s", 20.0, 10.0, 0.0, 150.0, "own, along the heading"),
+    Feature("acceleration", "m/s^2", 0.0, 2.0, -20.0, 20.0, "own, of the last step"),
+    Feature("gap", "m", 20.0, 20.0, -20.0, 1e4, "to the changer"),
+    Feature("relative_speed", "m/s", 0.0, 5.0, -150.0, 150.0, "the changer's speed minus the own"),
+    Feature("changer_lateral_deviation", "m", 0.0, 2.0, -100.0, 100.0, "of the changer"),
+    Feature("changer_lateral_speed", "m/s", 0.0, 0.5, -150.0, 150.0, "toward the target lane"),
+    Feature("leader_gap", "m", 50.0, 50.0, -20.0, 1e4, "to the one ahead in the own lane"),
+    Feature("leader_relative_speed", "m/s", 0.0, 5.0, -150.0, 150.0, "its speed minus the own"),
+    Feature("phase", "1", 2.0, 1.0, 0.0, 3.0, "the changer's: 1 waiting, 2 engaged, 3 aborting"),
+)
+"""The columns of a follower's observation, in order. The one ahead in the own lane is the changer's
+target leader; where there is none, gap and relative speed are as for FEATURES."""
 
 _NAMES = tuple(feature.name for feature in FEATURES)
 _FIRST_NEIGHBOR = _NAMES.index("leader_gap")
 _PHASE = _NAMES.index("phase")
 _TIME = _NAMES.index("time")
+_CAR_FOLLOWING = _NAMES.index("car_following_acceleration")
+_DISTANCE = _NAMES.index("distance_to_end")
 
 
 def feature_codes(names: Sequence[str]) -> NDArray[np.int32]:
@@ -72,7 +94,15 @@ def feature_scaling(names: Sequence[str]) -> tuple[list[float], list[float]]:
 
 def feature_bounds(names: Sequence[str]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Lowest and highest values of the named features, two (F,) float32."""
-    rows = [FEATURES[code] for code in feature_codes(names)]
+    return _bounds([FEATURES[code] for code in feature_codes(names)])
+
+
+def follower_feature_bounds() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lowest and highest values of a follower's observation, two (G,) float32."""
+    return _bounds(FOLLOWER_FEATURES)
+
+
+def _bounds(rows: Sequence[Feature]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     low = np.asarray([row.low for row in rows], np.float32)
     return low, np.asarray([row.high for row in rows], np.float32)
 
@@ -123,6 +153,7 @@ def observe(
     arcs: Any,
     features: Any,
     constants: Any,
+    profiles: Any,
     observation: Any,
 ) -> None:
     """Write the agent's features, (F,) float32, in the scenario's order."""
@@ -135,6 +166,33 @@ def observe(
             value = float(agent.phase)
         elif code == _TIME:
             value = (road.step - agent.born_step) * constants.time_step
+        elif code == _CAR_FOLLOWING:
+            value = car_following(agent, vehicles, profiles, constants)
+        elif code == _DISTANCE:
+            value = constants.road_length - car.position
         else:
             value = _neighbor_feature(code, agent, car, vehicles, constants)
         observation[column] = value
+
+
+@internal
+def observe_follower(agent: Any, vehicles: Any, constants: Any, observation: Any) -> None:
+    """Write FOLLOWER_FEATURES of the changer's target follower, (G,) float32; zeros without one."""
+    if agent.target_follower == NONE:
+        observation[:] = 0.0
+        return
+    driver, changer = vehicles[agent.target_follower], vehicles[agent.vehicle]
+    leader_gap, leader_relative_speed = constants.sensor_range, 0.0
+    if agent.target_leader != NONE:
+        leader = vehicles[agent.target_leader]
+        leader_gap = min(bumper_gap(driver, leader, constants), leader_gap)
+        leader_relative_speed = leader.speed - driver.speed
+    observation[0] = driver.speed
+    observation[1] = driver.acceleration
+    observation[2] = min(bumper_gap(driver, changer, constants), constants.sensor_range)
+    observation[3] = changer.speed - driver.speed
+    observation[4] = lateral_deviation(agent, changer, constants)
+    observation[5] = agent.direction * changer.speed * math.sin(changer.yaw)
+    observation[6] = leader_gap
+    observation[7] = leader_relative_speed
+    observation[8] = agent.phase

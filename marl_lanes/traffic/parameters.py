@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.scenario.followers import SCRIPTED
 from marl_lanes.scenario.schema import Scenario
 from marl_lanes.traffic.observation import feature_codes
-from marl_lanes.traffic.state import Disposition, Records, Table, structure
+from marl_lanes.traffic.state import Records, Table, structure
 
 NO_BOUND = np.inf
 
@@ -46,16 +47,33 @@ CONSTANTS: Table = (
     ("adversarial_speed_factor", "f8", "1", ""),
     ("adversarial_max_acceleration", "f8", "m/s^2", ""),
     ("adversarial_time_headway", "f8", "s", ""),
+    ("external_max_acceleration", "f8", "m/s^2", "bound of an external driver's action"),
+    ("external_max_braking", "f8", "m/s^2", "bound of an external driver's action"),
+    ("external_max_speed", "f8", "m/s", ""),
+    ("is_external_guarded", "i8", "1", ""),
+    ("num_external", "i8", "1", "dispositions of the mix that are driven from outside"),
+    ("follower_delay_weight", "f8", "1/s", "reward of a learned follower"),
+    ("follower_abort_weight", "f8", "1", ""),
+    ("follower_collision_penalty", "f8", "1", ""),
+    ("follower_discomfort_weight", "f8", "s^4/m^2", ""),
+    ("follower_braking_weight", "f8", "s^2/m", ""),
+    ("follower_hard_braking", "f8", "m/s^2", ""),
     ("completion_max_deviation", "f8", "m", ""),
     ("completion_max_lateral_speed", "f8", "m/s", "inf for no bound"),
     ("completion_max_yaw_rate", "f8", "rad/s", "inf for no bound"),
     ("max_yaw_acceleration", "f8", "rad/s^2", "bound of the action"),
+    ("has_longitudinal", "i8", "1", "whether the action has a second dimension"),
+    ("longitudinal_max_acceleration", "f8", "m/s^2", "bound of the second action"),
+    ("longitudinal_max_braking", "f8", "m/s^2", "bound of the second action"),
+    ("longitudinal_max_speed", "f8", "m/s", ""),
     ("sensor_range", "f8", "m", ""),
     ("acceleration_weight", "f8", "s^2/rad", "Eq. 10"),
     ("yaw_rate_weight", "f8", "s/rad", "Eq. 11"),
     ("deviation_weight", "f8", "1", "Eq. 12"),
     ("average_deviation", "f8", "m", "Eq. 12"),
     ("failure_penalty", "f8", "1", ""),
+    ("delay_weight", "f8", "1/s", ""),
+    ("longitudinal_weight", "f8", "s^4/m^2", ""),
 )
 
 PROFILE: Table = (
@@ -85,7 +103,7 @@ class Parameters:
     profiles: Records
     """(P,) PROFILE."""
     dispositions: NDArray[np.float64]
-    """(3,) cumulative shares by Disposition, last 1."""
+    """(3 + n,) cumulative shares by Disposition and the n external ones, last 1."""
     arcs: Records
     """(K,) ARC, ascending."""
     features: NDArray[np.int32]
@@ -109,17 +127,35 @@ def make_parameters(scenario: Scenario) -> Parameters:
         adversarial = scenario.followers.adversarial.max_acceleration
         row["braking_scale"] = 2.0 * math.sqrt(profile.max_acceleration * braking)
         row["adversarial_braking_scale"] = 2.0 * math.sqrt(adversarial * braking)
-    followers = dict[str, float](scenario.followers.mix.items())
+    mix = scenario.followers.mix
+    names = (*SCRIPTED, *scenario.followers.external_names)
     arcs = np.zeros(len(scenario.road.arcs), structure(ARC))
     for row, arc in zip(arcs, scenario.road.arcs, strict=True):
         row["start"], row["end"], row["curvature"] = arc.start, arc.end, 1.0 / arc.radius
     return Parameters(
         constants=_make_constants(scenario),
         profiles=profiles,
-        dispositions=_cumulative([followers.get(kind.name.lower(), 0.0) for kind in Disposition]),
+        dispositions=_cumulative([mix.get(name, 0.0) for name in names]),
         arcs=arcs,
         features=feature_codes(scenario.observation.features),
     )
+
+
+def action_bounds(scenario: Scenario) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lowest and highest actions of a changer, two (D,) float32 [rad/s^2, m/s^2]."""
+    yaw, longitudinal = scenario.action.max_yaw_acceleration, scenario.action.longitudinal
+    low, high = [-yaw], [yaw]
+    if longitudinal is not None:
+        low.append(-longitudinal.max_braking)
+        high.append(longitudinal.max_acceleration)
+    return np.asarray(low, np.float32), np.asarray(high, np.float32)
+
+
+def follower_action_bounds(scenario: Scenario) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lowest and highest actions of an external follower, two (1,) float32 [m/s^2]."""
+    external = scenario.followers.external
+    low, high = [-external.max_braking], [external.max_acceleration]
+    return np.asarray(low, np.float32), np.asarray(high, np.float32)
 
 
 def _cumulative(shares: list[float]) -> NDArray[np.float64]:
@@ -129,6 +165,8 @@ def _cumulative(shares: list[float]) -> NDArray[np.float64]:
 
 def _make_constants(scenario: Scenario) -> Records:
     completion, departures = scenario.completion, scenario.departures
+    external, paid = scenario.followers.external, scenario.followers.learned.reward
+    longitudinal, names = scenario.action.longitudinal, scenario.followers.external_names
     values: dict[str, float] = {
         "time_step": scenario.time_step,
         "road_length": scenario.road.length,
@@ -163,16 +201,33 @@ def _make_constants(scenario: Scenario) -> Records:
         "adversarial_speed_factor": scenario.followers.adversarial.desired_speed_factor,
         "adversarial_max_acceleration": scenario.followers.adversarial.max_acceleration,
         "adversarial_time_headway": scenario.followers.adversarial.time_headway,
+        "external_max_acceleration": external.max_acceleration,
+        "external_max_braking": external.max_braking,
+        "external_max_speed": external.max_speed,
+        "is_external_guarded": external.is_guarded,
+        "num_external": len(names),
+        "follower_delay_weight": paid.delay_weight,
+        "follower_abort_weight": paid.abort_weight,
+        "follower_collision_penalty": paid.collision_penalty,
+        "follower_discomfort_weight": paid.discomfort_weight,
+        "follower_braking_weight": paid.braking_weight,
+        "follower_hard_braking": paid.hard_braking,
         "completion_max_deviation": completion.max_deviation,
         "completion_max_lateral_speed": completion.max_lateral_speed or NO_BOUND,
         "completion_max_yaw_rate": completion.max_yaw_rate or NO_BOUND,
         "max_yaw_acceleration": scenario.action.max_yaw_acceleration,
+        "has_longitudinal": longitudinal is not None,
+        "longitudinal_max_acceleration": longitudinal.max_acceleration if longitudinal else 0.0,
+        "longitudinal_max_braking": longitudinal.max_braking if longitudinal else 0.0,
+        "longitudinal_max_speed": longitudinal.max_speed if longitudinal else 0.0,
         "sensor_range": scenario.observation.sensor_range,
         "acceleration_weight": scenario.reward.acceleration_weight,
         "yaw_rate_weight": scenario.reward.yaw_rate_weight,
         "deviation_weight": scenario.reward.deviation_weight,
         "average_deviation": scenario.reward.average_deviation,
         "failure_penalty": scenario.reward.failure_penalty,
+        "delay_weight": scenario.reward.delay_weight,
+        "longitudinal_weight": scenario.reward.longitudinal_weight,
     }
     constants = np.zeros(1, structure(CONSTANTS))
     for name, _, _, _ in CONSTANTS:

@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.traffic.external import FollowerPolicy, ask_policy, choose_policies
+from marl_lanes.traffic.observation import FOLLOWER_FEATURES
 from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.traffic.state import Outcome, Phase, Records, allocate
 from marl_lanes.traffic.step import RESET, SKIP, STEP, run
@@ -32,9 +35,12 @@ class Simulator:
         num_threads: threads that share the roads; by default one for every 1024 roads, at most the
             number of processors.
         overrides: scenario fields to replace, as in ``load_scenario``.
+        learned_followers: ``step`` takes the actions of the followers whose disposition is
+            ``learned``; where the mix has none, all are.
+        follower_policies: policies by their name in ``followers.mix``, before registered ones.
 
     Raises:
-        ScenarioError: the scenario cannot be.
+        ScenarioError: the scenario cannot be, or a follower of its mix has no policy.
         ValueError: another argument is out of range.
     """
 
@@ -46,23 +52,34 @@ class Simulator:
         seed: int = 0,
         num_threads: int | None = None,
         overrides: Mapping[str, Any] | None = None,
+        learned_followers: bool = False,
+        follower_policies: Mapping[str, FollowerPolicy] | None = None,
     ) -> None:
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, at least 1")
         if num_threads is not None and num_threads < 1:
             raise ValueError(f"num_threads = {num_threads}: must be at least 1, or None")
         self.scenario = load_scenario(scenario, overrides)
+        if learned_followers and LEARNED not in self.scenario.followers.mix:
+            self.scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
+        self.learned_followers = learned_followers
+        self._policies = choose_policies(
+            self.scenario, follower_policies, has_learner=learned_followers
+        )
         self.num_envs = num_envs
         self.num_slots = self.scenario.num_slots
+        self.num_actions = self.scenario.action.num_actions
         self.state = allocate(
             num_envs=num_envs,
             num_lanes=self.scenario.road.num_lanes,
             max_vehicles=self.scenario.max_vehicles,
             num_slots=self.num_slots,
             num_features=len(self.scenario.observation.features),
+            num_follower_features=len(FOLLOWER_FEATURES),
         )
         self.parameters = make_parameters(self.scenario)
-        self._actions = np.zeros((num_envs, self.num_slots, 1))
+        self._actions = np.zeros((num_envs, self.num_slots, self.num_actions))
+        self._follower_actions = np.zeros((num_envs, self.num_slots, 1))
         self._every_road = np.ones(num_envs, np.bool_)
         self._arguments = self._gather_arguments()
         wanted = num_threads or min(os.cpu_count() or 1, num_envs // _ROADS_PER_THREAD)
@@ -90,30 +107,33 @@ class Simulator:
         if chosen.shape != (self.num_envs,):
             raise ValueError(f"mask: shape {chosen.shape}, must be ({self.num_envs},)")
         # Nothing of the last episode stays, so that equal seeds give equal bytes.
-        for array in (self.state.vehicles, self.state.agents, self.state.collisions):
+        state = self.state
+        for array in (state.vehicles, state.agents, state.followers, state.collisions):
             array[chosen] = np.zeros((), array.dtype)
         self.state.order[chosen] = 0
         self._run(RESET, chosen)
 
-    def step(self, actions: ArrayLike | None = None) -> None:
+    def step(
+        self, actions: ArrayLike | None = None, follower_actions: ArrayLike | None = None
+    ) -> None:
         """Advance every road by one time step.
 
         Args:
-            actions: (E, A, 1) yaw accelerations in the maneuver frame [rad/s^2], clipped to the
-                scenario's bound; what absent and waiting agents are given is not used. None: zeros.
+            actions: (E, A, D) yaw accelerations in the maneuver frame [rad/s^2] and, where D is 2,
+                longitudinal accelerations [m/s^2], clipped to the scenario's bounds; what agents
+                are given that do not act is not used. None: zeros.
+            follower_actions: (E, A, 1) longitudinal accelerations [m/s^2] of the learned followers,
+                clipped to the scenario's bounds, used where ``is_follower_acting``. None: zeros.
 
         Raises:
-            ValueError: wrong shape, or an action of a steering agent that is not finite.
+            ValueError: wrong shape, or an action that counts and is not finite.
+            FollowerError: a follower's policy returned what no vehicle can do.
         """
-        if actions is None:
-            self._actions.fill(0.0)
-        else:
-            given = np.asarray(actions, np.float64)
-            if given.shape != self._actions.shape:
-                raise ValueError(f"actions: shape {given.shape}, must be {self._actions.shape}")
-            np.copyto(self._actions, given)
-            if not np.isfinite(given).all():
-                self._refuse_bad_actions()
+        self._take("actions", actions, self._actions, self.is_acting)
+        self._take(
+            "follower_actions", follower_actions, self._follower_actions, self.is_follower_acting
+        )
+        self._ask_policies()
         self._run(STEP, self._every_road)
 
     def advance_until_live(self) -> None:
@@ -160,6 +180,19 @@ class Simulator:
         return np.asarray(self.state.agents["phase"] >= Phase.ENGAGED)
 
     @property
+    def is_acting(self) -> NDArray[np.bool_]:
+        """(E, A): slots whose action has an effect: steering, or live where D is 2."""
+        return self.is_engaged if self.num_actions == 1 else self.is_live
+
+    @property
+    def is_follower_acting(self) -> NDArray[np.bool_]:
+        """(E, A): slots whose learned follower is paired now."""
+        if not self.learned_followers:
+            return np.zeros(self.state.followers.shape, np.bool_)
+        code = self.scenario.followers.external_names.index(LEARNED)
+        return np.asarray(self.state.followers["policy"] == code)
+
+    @property
     def has_ended(self) -> NDArray[np.bool_]:
         """(E, A): slots whose command ended in the last step."""
         return np.asarray(self.state.agents["outcome"] != Outcome.UNFINISHED)
@@ -179,18 +212,43 @@ class Simulator:
         """(E,) the table ROAD."""
         return self.state.roads
 
-    def _refuse_bad_actions(self) -> None:
-        bad = self.is_engaged & ~np.isfinite(self._actions[..., 0])
+    @staticmethod
+    def _take(
+        name: str, given: ArrayLike | None, kept: NDArray[np.float64], acting: NDArray[np.bool_]
+    ) -> None:
+        """Copy actions; what is not finite is refused where it counts, and else 0."""
+        if given is None:
+            kept.fill(0.0)
+            return
+        array = np.asarray(given, np.float64)
+        if array.shape != kept.shape:
+            raise ValueError(f"{name}: shape {array.shape}, must be {kept.shape}")
+        np.copyto(kept, array)
+        is_finite = np.isfinite(array)
+        if is_finite.all():
+            return
+        bad = acting[..., None] & ~is_finite
         if bad.any():
-            env, slot = np.argwhere(bad)[0].tolist()
-            value = self._actions[env, slot, 0]
+            env, slot, column = np.argwhere(bad)[0].tolist()
             raise ValueError(
-                f"actions[{env}, {slot}] = {value}: must be a finite yaw acceleration in rad/s^2"
+                f"{name}[{env}, {slot}, {column}] = {array[env, slot, column]}: must be a finite "
+                "acceleration"
             )
-        self._actions[~np.isfinite(self._actions)] = 0.0
+        kept[~is_finite] = 0.0
+
+    def _ask_policies(self) -> None:
+        """Fill in the actions of the followers that a policy drives."""
+        for code, policy in enumerate(self._policies):
+            if policy is None:
+                continue
+            rows = self.state.followers["policy"] == code
+            if rows.any():
+                name = self.scenario.followers.external_names[code]
+                seen = self.state.follower_observations[rows]
+                self._follower_actions[rows, 0] = ask_policy(name, policy, seen, self.scenario)
 
     def _gather_arguments(self) -> tuple[NDArray[Any], ...]:
-        return (self._actions, *self.state.arrays, *self.parameters.arrays)
+        return (self._actions, self._follower_actions, *self.state.arrays, *self.parameters.arrays)
 
     def _run(self, mode: int, mask: NDArray[np.bool_]) -> None:
         if self.num_threads == 1:

@@ -1,6 +1,7 @@
 """The state: every array's name, dtype, unit and meaning, stated once; allocation follows from it.
 
-Axes: E environments (roads), V vehicle slots, A agent slots, L lanes, C collision records.
+Axes: E environments (roads), V vehicle slots, A agent slots, L lanes, C collision records, F
+features of an agent, G features of a follower. Follower k belongs to agent slot k.
 An array of structures: ``state.vehicles[e, i].speed`` in a kernel, ``state.vehicles["speed"]``
 (E, V) outside it.
 """
@@ -48,6 +49,8 @@ class Disposition(IntEnum):
     COOPERATIVE = 0
     NEUTRAL = 1
     ADVERSARIAL = 2
+    EXTERNAL = 3
+    """EXTERNAL + i: the i-th of the mix that the simulation does not drive itself."""
 
 
 Table = tuple[tuple[str, str, str, str], ...]
@@ -68,7 +71,7 @@ VEHICLE: Table = (
     ("lane_low", "i4", "lane", "right-most lane that its body overlaps"),
     ("lane_high", "i4", "lane", "left-most lane that its body overlaps"),
     ("profile", "i4", "1", "row of the driver profiles"),
-    ("disposition", "i4", "1", "Disposition"),
+    ("disposition", "i4", "1", "Disposition, or beyond EXTERNAL"),
     ("agent", "i4", "1", "agent slot, -1 where it has no live command"),
     ("changer", "i4", "1", "vehicle slot of the engaged changer it is the follower of, -1 if none"),
     ("fate", "i4", "1", "within a step: 0 stays, 1 leaves, 2 collides, 3 off the road"),
@@ -79,12 +82,15 @@ AGENT: Table = (
     ("num_aborts", "i8", "1", "times that the gap guard turned it back"),
     ("born_step", "i8", "step", "step of the command"),
     ("engaged_steps", "i8", "step", "steps that it steered"),
-    ("reward", "f8", "1", "of the last step: the sum of the four terms"),
+    ("reward", "f8", "1", "of the last step: the sum of the six terms"),
     ("episode_reward", "f8", "1", "sum of the rewards since the command"),
+    ("car_following", "f8", "m/s^2", "what car following alone wanted in the last step"),
     ("reward_acceleration", "f8", "1", "Eq. 10"),
     ("reward_yaw_rate", "f8", "1", "Eq. 11"),
     ("reward_deviation", "f8", "1", "Eq. 12"),
     ("reward_failure", "f8", "1", "minus the failure penalty in the step of a failure"),
+    ("reward_delay", "f8", "1", "for the time since the command"),
+    ("reward_longitudinal", "f8", "1", "for what the second action departs from car following"),
     (
         "vehicle",
         "i4",
@@ -100,6 +106,18 @@ AGENT: Table = (
     ("follower", "i4", "1", "vehicle slot behind in the origin lane, -1 if none"),
     ("target_leader", "i4", "1", "vehicle slot ahead in the target lane, -1 if none"),
     ("target_follower", "i4", "1", "vehicle slot behind in the target lane, -1 if none"),
+)
+
+FOLLOWER: Table = (
+    ("reward", "f8", "1", "of the last step: the sum of the five terms"),
+    ("episode_reward", "f8", "1", "sum of the rewards since the command"),
+    ("reward_delay", "f8", "1", "for the time in which the changer is not in its lane"),
+    ("reward_abort", "f8", "1", "for an abort of the changer in the last step"),
+    ("reward_collision", "f8", "1", "minus the penalty in the step in which the driver collides"),
+    ("reward_discomfort", "f8", "1", "for the square of the driver's acceleration"),
+    ("reward_braking", "f8", "1", "for its hard braking"),
+    ("vehicle", "i4", "1", "vehicle slot of the external driver paired with the changer, or -1"),
+    ("policy", "i4", "1", "which external disposition drives it: code - EXTERNAL; -1 if none"),
 )
 
 ROAD: Table = (
@@ -174,10 +192,14 @@ class State:
     """(E, V) vehicle slots by decreasing position; the first num_vehicles count."""
     agents: Records
     """(E, A) AGENT."""
+    followers: Records
+    """(E, A) FOLLOWER, of the external drivers alone."""
     collisions: Records
     """(E, C) COLLISION, a ring over num_collisions."""
     observations: NDArray[np.float32]
     """(E, A, F) the live agents' features; of an agent that just ended, its last ones."""
+    follower_observations: NDArray[np.float32]
+    """(E, A, G) what the drivers behind the live agents in their target lanes see."""
 
     @property
     def arrays(self) -> tuple[NDArray[np.generic], ...]:
@@ -188,8 +210,10 @@ class State:
             self.vehicles,
             self.order,
             self.agents,
+            self.followers,
             self.collisions,
             self.observations,
+            self.follower_observations,
         )
 
     def tobytes(self) -> bytes:
@@ -198,14 +222,21 @@ class State:
 
 
 def allocate(
-    *, num_envs: int, num_lanes: int, max_vehicles: int, num_slots: int, num_features: int
+    *,
+    num_envs: int,
+    num_lanes: int,
+    max_vehicles: int,
+    num_slots: int,
+    num_features: int,
+    num_follower_features: int,
 ) -> State:
     """An empty state of E roads."""
     vehicles = np.zeros((num_envs, max_vehicles), structure(VEHICLE))
     agents = np.zeros((num_envs, num_slots), structure(AGENT))
+    followers = np.zeros((num_envs, num_slots), structure(FOLLOWER))
     collisions = np.zeros((num_envs, NUM_COLLISION_RECORDS), structure(COLLISION))
     vehicles["id"] = vehicles["agent"] = agents["vehicle"] = NONE
-    agents["command"] = NONE
+    agents["command"] = followers["vehicle"] = followers["policy"] = NONE
     collisions["rear_id"] = collisions["front_id"] = NONE
     roads = np.zeros(num_envs, structure(ROAD))
     return State(
@@ -214,6 +245,8 @@ def allocate(
         vehicles=vehicles,
         order=np.zeros((num_envs, max_vehicles), np.int32),
         agents=agents,
+        followers=followers,
         collisions=collisions,
         observations=np.zeros((num_envs, num_slots, num_features), np.float32),
+        follower_observations=np.zeros((num_envs, num_slots, num_follower_features), np.float32),
     )

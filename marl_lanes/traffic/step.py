@@ -31,7 +31,8 @@ from marl_lanes.traffic.maneuver import (
 )
 from marl_lanes.traffic.neighbors import find_agent_neighbors, sort_by_position
 from marl_lanes.traffic.observation import observe
-from marl_lanes.traffic.reward import reward
+from marl_lanes.traffic.pairing import clear_follower, pair
+from marl_lanes.traffic.reward import reward, sum_terms
 from marl_lanes.traffic.state import NONE, Outcome, Phase
 
 STEP = 0
@@ -106,6 +107,7 @@ def judge(
     observations: Any,
     arcs: Any,
     features: Any,
+    profiles: Any,
     constants: Any,
 ) -> None:
     """Reward every agent for the step, and end those whose command is over."""
@@ -124,12 +126,11 @@ def judge(
             reward(agent, car, deviation, turning, constants)
         else:
             agent.reward_acceleration = agent.reward_yaw_rate = agent.reward_deviation = 0.0
-            agent.reward = agent.reward_failure
-        agent.episode_reward += agent.reward
+        sum_terms(agent, car, constants)
         if outcome == _UNFINISHED:
             continue
         find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
-        observe(agent, vehicles, road, arcs, features, constants, observations[index])
+        observe(agent, vehicles, road, arcs, features, constants, profiles, observations[index])
         if outcome == _COMPLETED:
             car.lane = agent.target_lane
         end_command(agent, car, road, outcome)
@@ -144,6 +145,7 @@ def renew(
     observations: Any,
     arcs: Any,
     features: Any,
+    profiles: Any,
     constants: Any,
 ) -> None:
     """Neighbors, phase and observation of every live agent; who is the follower of whom.
@@ -157,7 +159,7 @@ def renew(
         car = vehicles[agent.vehicle]
         find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
         change_phase(agent, vehicles, car.yaw_rate - road_turn_rate(car, arcs), constants)
-        observe(agent, vehicles, road, arcs, features, constants, observations[index])
+        observe(agent, vehicles, road, arcs, features, constants, profiles, observations[index])
         follower = agent.target_follower
         if agent.phase == _ENGAGED and follower != NONE:
             nearest = vehicles[follower].changer
@@ -185,8 +187,10 @@ def clear(
     lanes: Any,
     vehicles: Any,
     agents: Any,
+    followers: Any,
     collisions: Any,
     observations: Any,
+    follower_observations: Any,
     profiles: Any,
     constants: Any,
 ) -> None:
@@ -195,9 +199,11 @@ def clear(
     for index in range(agents.shape[0]):
         clear_agent(agents[index])
         agents[index].command = NONE
+        clear_follower(followers[index])
     for newest in range(collisions.shape[0]):
         collisions[newest].rear_id = collisions[newest].front_id = NONE
     observations[:] = 0.0
+    follower_observations[:] = 0.0
 
 
 @compiled
@@ -207,13 +213,16 @@ def run(
     mode: int,
     mask: Any,
     actions: Any,
+    follower_actions: Any,
     roads: Any,
     lanes: Any,
     vehicles: Any,
     order: Any,
     agents: Any,
+    followers: Any,
     collisions: Any,
     observations: Any,
+    follower_observations: Any,
     constants: Any,
     profiles: Any,
     dispositions: Any,
@@ -222,8 +231,9 @@ def run(
 ) -> None:
     """Advance the masked roads among ``start`` to ``stop``; the others keep every byte.
 
-    A time step: drive, move, judge, remove, depart, command, renew. It is one function, with one
-    entry point, because the compiler optimises all that a function calls anew at each level.
+    A time step: drive, move, judge, remove, depart, command, renew, pair. It is one function,
+    with one entry point, because the compiler optimises all that a function calls anew at each
+    level.
 
     Args:
         start: first road.
@@ -231,7 +241,10 @@ def run(
         mode: STEP one time step; SKIP until an agent is live or the episode is over; RESET to an
             empty road and through its warm-up.
         mask: (E,) bool.
-        actions: (E, A, 1) float64, yaw acceleration in the maneuver frame [rad/s^2].
+        actions: (E, A, D) float64, yaw acceleration in the maneuver frame [rad/s^2] and, where
+            the scenario has it, longitudinal acceleration [m/s^2].
+        follower_actions: (E, A, 1) float64, longitudinal acceleration of the external driver paired
+            with the changer in that slot [m/s^2].
         roads: and what follows, the arrays of State, then those of Parameters.
     """
     p = constants[0]
@@ -240,8 +253,9 @@ def run(
             continue
         road, lane, cars, ranks = roads[env], lanes[env], vehicles[env], order[env]
         live, seen, crashes = agents[env], observations[env], collisions[env]
+        behind, seen_behind = followers[env], follower_observations[env]
         if mode == RESET:
-            clear(road, lane, cars, live, crashes, seen, profiles, p)
+            clear(road, lane, cars, live, behind, crashes, seen, seen_behind, profiles, p)
         is_first = mode == STEP
         while (
             is_first
@@ -251,17 +265,30 @@ def run(
             is_first = False
             clear_ended(live, seen)
             free_slots(road, cars)
-            accelerate(road, lane, cars, ranks, live, profiles, p)
+            accelerate(
+                road,
+                lane,
+                cars,
+                ranks,
+                live,
+                behind,
+                actions[env],
+                follower_actions[env],
+                profiles,
+                p,
+            )
             is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
             road.step += 1
             sort_by_position(ranks, road.num_vehicles, cars)
             detect_collisions(road, cars, ranks, live, crashes, p)
             if road.num_live > 0:
-                judge(road, cars, ranks, live, seen, arcs, features, p)
+                judge(road, cars, ranks, live, seen, arcs, features, profiles, p)
             remove_vehicles(road, cars, ranks)
             depart(road, lane, cars, ranks, live, p, profiles, dispositions, arcs)
             if is_command_due:
                 give_commands(road, cars, ranks, live, p)
             if road.num_live > 0:
-                renew(road, cars, ranks, live, seen, arcs, features, p)
+                renew(road, cars, ranks, live, seen, arcs, features, profiles, p)
+            if p.num_external > 0:
+                pair(cars, live, behind, seen_behind, p)
             end_episode(road, live, p)

@@ -1,70 +1,52 @@
-"""Checkpoints of a policy: the network's form and weights, and nothing that runs code."""
+"""Networks and checkpoints that fit a scenario: those of its changers, those of its followers."""
 
-import pickle
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from marl_lanes.naf.checkpoint import FORMAT, Checkpoint, CheckpointError, read_checkpoint
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.observation import feature_scaling
+from marl_lanes.traffic.observation import FOLLOWER_FEATURES, feature_scaling
+from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
 from marl_lanes.training.files import write_atomically
 
-_FORMAT = "marl-lanes NAF policy 1"
+_HIDDEN_SIZES = (64, 64)
 
 
-class CheckpointError(ValueError):
-    """A file that is not a checkpoint, or does not fit the scenario."""
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """A policy as it was saved."""
-
-    network: NAFNetwork
-    scenario: str
-    """Name of the scenario that it was trained on."""
-    transitions: int
-    """Transitions that it has learned from."""
-
-
-def make_network(scenario: Scenario, mu: str, hidden_sizes: list[int] | None = None) -> NAFNetwork:
-    """An untrained network for the scenario's features and action bounds."""
+def make_network(
+    scenario: Scenario, mu: str, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
+) -> NAFNetwork:
+    """An untrained network of the changers, for their features and action bounds."""
     features = scenario.observation.features
     offsets, scales = feature_scaling(features)
-    bound = scenario.action.max_yaw_acceleration
+    low, high = (bound.tolist() for bound in action_bounds(scenario))
     return NAFNetwork(
-        features,
-        [-bound],
-        [bound],
-        mu=mu,
-        hidden_sizes=(64, 64) if hidden_sizes is None else hidden_sizes,
-        offsets=offsets,
-        scales=scales,
+        features, low, high, mu=mu, hidden_sizes=hidden_sizes, offsets=offsets, scales=scales
     )
 
 
-def greedy_policy(network: NAFNetwork) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
-    """The network's greedy action as a function of arrays, (N, F) to (N, D)."""
-    module = network.policy().module
-
-    def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        with torch.inference_mode():
-            actions = module(torch.from_numpy(observations))
-        return np.asarray(actions.numpy(), np.float64)
-
-    return act
+def make_follower_network(
+    scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
+) -> NAFNetwork:
+    """An untrained network of the learned followers; its mu is the general one."""
+    low, high = (bound.tolist() for bound in follower_action_bounds(scenario))
+    return NAFNetwork(
+        [feature.name for feature in FOLLOWER_FEATURES],
+        low,
+        high,
+        mu="mlp",
+        hidden_sizes=hidden_sizes,
+        offsets=[feature.offset for feature in FOLLOWER_FEATURES],
+        scales=[feature.scale for feature in FOLLOWER_FEATURES],
+    )
 
 
 def save_checkpoint(path: Path, network: NAFNetwork, scenario: str, transitions: int) -> None:
     """Write a checkpoint, whole or not at all."""
     content = {
-        "format": _FORMAT,
+        "format": FORMAT,
         "config": network.config,
         "weights": {key: value.detach().cpu() for key, value in network.state_dict().items()},
         "scenario": scenario,
@@ -73,47 +55,24 @@ def save_checkpoint(path: Path, network: NAFNetwork, scenario: str, transitions:
     write_atomically(path, lambda temporary: torch.save(content, temporary))
 
 
-def load_checkpoint(path: Path, scenario: Scenario | None = None) -> Checkpoint:
-    """Read a checkpoint without running any code from it.
-
-    Args:
-        path: the file.
-        scenario: when given, what the policy must fit: features in order, action bounds.
+def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint:
+    """Read a changers' checkpoint that fits the scenario: features in order, action bounds.
 
     Raises:
         CheckpointError: not readable, not a checkpoint, or it does not fit the scenario.
     """
-    try:
-        content: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError as error:
-        raise CheckpointError(f"checkpoint {path}: cannot be read: {error}") from None
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise CheckpointError(f"checkpoint {path}: not a checkpoint: {reason}") from None
-    if not isinstance(content, dict) or content.get("format") != _FORMAT:
-        raise CheckpointError(f"checkpoint {path}: not a checkpoint of the form {_FORMAT!r}")
-    try:
-        network = NAFNetwork(**content["config"])
-        network.load_state_dict(content["weights"])
-        found = Checkpoint(network, str(content["scenario"]), int(content["transitions"]))
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = str(error).partition("\n")[0]
-        raise CheckpointError(f"checkpoint {path}: inconsistent: {reason}") from None
-    if scenario is not None:
-        _check_fit(path, network, scenario)
+    whose = f"the changers of scenario {scenario.name!r} have"
+    found = read_checkpoint(path)
+    features = list(scenario.observation.features)
+    if found.network.features != features:
+        raise CheckpointError(
+            f"checkpoint {path}: its features are {found.network.features}, {whose} {features}"
+        )
+    config = found.network.config
+    bounds = [bound.tolist() for bound in action_bounds(scenario)]
+    if [config["action_low"], config["action_high"]] != bounds:
+        raise CheckpointError(
+            f"checkpoint {path}: its action bounds are {config['action_low']} to "
+            f"{config['action_high']}, {whose} {bounds[0]} to {bounds[1]}"
+        )
     return found
-
-
-def _check_fit(path: Path, network: NAFNetwork, scenario: Scenario) -> None:
-    wanted = list(scenario.observation.features)
-    if network.features != wanted:
-        raise CheckpointError(
-            f"checkpoint {path}: its features are {network.features}, scenario "
-            f"{scenario.name!r} has {wanted}"
-        )
-    bound = scenario.action.max_yaw_acceleration
-    if network.config["action_high"] != [np.float32(bound)]:
-        raise CheckpointError(
-            f"checkpoint {path}: its action bound is {network.config['action_high']}, scenario "
-            f"{scenario.name!r} has [{bound}]"
-        )

@@ -1,21 +1,18 @@
 """The typed configuration of a training program; its values are in the program's YAML files."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 from hydra.core.config_store import ConfigStore
-from omegaconf import MISSING
+from omegaconf import MISSING, DictConfig, OmegaConf
 
+from marl_lanes.training.files import write_atomically
 
-@dataclass
-class NetworkConfig:
-    """Form of the NAF network."""
-
-    mu: str = MISSING
-    """paper, damped or mlp."""
-    hidden_sizes: list[int] = MISSING
-    """Widths of the hidden layers of every network."""
+CONFIG_FILE = "config.yaml"
+"""File name of a run's configuration."""
 
 
 @dataclass
@@ -27,7 +24,7 @@ class CollectorConfig:
     steps_per_batch: int = MISSING
     """Time steps of every road between two rounds of updates."""
     total_transitions: int = MISSING
-    """Transitions of steering agents after which the training ends."""
+    """Transitions of acting agents after which the training ends."""
 
 
 @dataclass
@@ -77,9 +74,9 @@ class ExplorationConfig:
     """Gaussian noise on the greedy action."""
 
     initial_sigma: float = MISSING
-    """At the start [rad/s^2]."""
+    """At the start, of each action's half range [1]."""
     final_sigma: float = MISSING
-    """From annealing_transitions on [rad/s^2]."""
+    """From annealing_transitions on, of each action's half range [1]."""
     annealing_transitions: int = MISSING
     """Transitions over which it falls, linearly."""
 
@@ -99,11 +96,21 @@ class EvaluationConfig:
 
 
 @dataclass
-class TrainingConfig:
-    """Everything that defines a training run."""
+class LearnerConfig:
+    """How one group learns."""
 
-    recipe: str = MISSING
-    """The recipe's name."""
+    collector: CollectorConfig = field(default_factory=CollectorConfig)
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
+    exploration: ExplorationConfig = field(default_factory=ExplorationConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+
+
+@dataclass
+class ProgramConfig:
+    """What every training program is told."""
+
     scenario: str = MISSING
     """Name or path of the scenario; the evaluation is on it, unchanged."""
     training_overrides: dict[str, Any] = field(default_factory=dict)
@@ -116,22 +123,62 @@ class TrainingConfig:
     """A run folder to continue; its own config counts, and nothing else on the command line."""
     num_threads: int = MISSING
     """Threads of torch."""
+
+
+@dataclass
+class NetworkConfig:
+    """Form of the NAF network."""
+
+    mu: str = MISSING
+    """paper, damped or mlp; with two actions paper or damped with +idm or +mlp, or mlp."""
+    hidden_sizes: list[int] = MISSING
+    """Widths of the hidden layers of every network."""
+
+
+@dataclass
+class TrainingConfig(LearnerConfig, ProgramConfig):
+    """Everything that defines a run of agents/naf/train.py."""
+
+    recipe: str = MISSING
+    """The recipe's name."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
-    collector: CollectorConfig = field(default_factory=CollectorConfig)
-    replay: ReplayConfig = field(default_factory=ReplayConfig)
-    loss: LossConfig = field(default_factory=LossConfig)
-    optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
-    exploration: ExplorationConfig = field(default_factory=ExplorationConfig)
-    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-
-
-def register() -> None:
-    """Make the schema known to hydra under the name that the YAML files extend."""
-    ConfigStore.instance().store(name="training_schema", node=TrainingConfig)
+    initial_checkpoint: str | None = None
+    """A checkpoint whose weights the training starts from; null: from none."""
 
 
 class ConfigError(ValueError):
     """A configuration that cannot be; the message names field, value and what is allowed."""
+
+
+def register(name: str, kind: type[ProgramConfig]) -> None:
+    """Make the schema ``kind`` known to hydra under the name that the YAML files extend."""
+    ConfigStore.instance().store(name=name, node=kind)
+
+
+Config = TypeVar("Config", bound=ProgramConfig)
+
+
+def read_config(given: DictConfig, kind: type[Config]) -> Config:
+    """The typed configuration; that of the run to resume, where one is named.
+
+    Raises:
+        ConfigError: there is no run to resume.
+    """
+    resume = given.resume
+    if resume is not None:
+        path = Path(resume) / CONFIG_FILE
+        if not path.is_file():
+            raise ConfigError(f"resume = {resume!r}: must be a run folder; it has no {CONFIG_FILE}")
+        stored = OmegaConf.merge(OmegaConf.structured(kind), OmegaConf.load(path))
+        stored.output, stored.resume = resume, resume
+        given = cast("DictConfig", stored)
+    return cast("Config", OmegaConf.to_object(given))
+
+
+def write_config(path: Path, config: ProgramConfig) -> None:
+    """Write the whole configuration as YAML."""
+    text = OmegaConf.to_yaml(OmegaConf.structured(config))
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def check(config: TrainingConfig) -> None:
@@ -140,8 +187,25 @@ def check(config: TrainingConfig) -> None:
     Raises:
         ConfigError: for the first field that is out of range.
     """
+    check_program(config)
+    check_learner(config)
+    check_widths("network.hidden_sizes", config.network.hidden_sizes)
+
+
+def check_program(config: ProgramConfig) -> None:
+    """What ``check`` says of the fields that every program has."""
+    require(config.num_threads >= 1, "num_threads", config.num_threads, "at least 1")
+    _check_seed("seed", config.seed)
+
+
+def check_widths(name: str, sizes: Sequence[int]) -> None:
+    """What ``check`` says of the widths of hidden layers."""
+    require(len(sizes) > 0 and min(sizes) >= 1, name, sizes, "widths of at least 1")
+
+
+def check_learner(config: LearnerConfig, prefix: str = "") -> None:
+    """What ``check`` says of one group's learning; ``prefix`` stands before the fields' names."""
     at_least_one = {
-        "num_threads": config.num_threads,
         "collector.num_envs": config.collector.num_envs,
         "collector.steps_per_batch": config.collector.steps_per_batch,
         "collector.total_transitions": config.collector.total_transitions,
@@ -153,12 +217,10 @@ def check(config: TrainingConfig) -> None:
         "evaluation.final_num_maneuvers": config.evaluation.final_num_maneuvers,
     }
     not_negative = {
-        "seed": config.seed,
         "replay.warmup_transitions": config.replay.warmup_transitions,
         "optimizer.pretraining_transitions": config.optimizer.pretraining_transitions,
         "exploration.initial_sigma": config.exploration.initial_sigma,
         "exploration.annealing_transitions": config.exploration.annealing_transitions,
-        "evaluation.seed": config.evaluation.seed,
     }
     positive = {
         "optimizer.learning_rate": config.optimizer.learning_rate,
@@ -168,34 +230,39 @@ def check(config: TrainingConfig) -> None:
     if config.optimizer.max_gradient_norm is not None:
         positive["optimizer.max_gradient_norm"] = config.optimizer.max_gradient_norm
     for name, value in at_least_one.items():
-        _require(value >= 1, name, value, "at least 1")
+        require(value >= 1, prefix + name, value, "at least 1")
     for name, number in not_negative.items():
-        _require(0 <= number < inf, name, number, "at least 0 and finite")
+        require(0 <= number < inf, prefix + name, number, "at least 0 and finite")
     for name, number in positive.items():
-        _require(0 < number < inf, name, number, "above 0 and finite")
-    for name, seed in {"seed": config.seed, "evaluation.seed": config.evaluation.seed}.items():
-        _require(seed < 2**63, name, seed, "below 2^63")
-    sizes = config.network.hidden_sizes
-    _require(
-        len(sizes) > 0 and min(sizes) >= 1, "network.hidden_sizes", sizes, "widths of at least 1"
-    )
+        require(0 < number < inf, prefix + name, number, "above 0 and finite")
+    _check_seed(prefix + "evaluation.seed", config.evaluation.seed)
     loss, exploration = config.loss, config.exploration
-    _require(0.0 <= loss.gamma <= 1.0, "loss.gamma", loss.gamma, "between 0 and 1")
-    _require(0.0 < loss.tau <= 1.0, "loss.tau", loss.tau, "above 0 and at most 1")
-    _require(
+    require(0.0 <= loss.gamma <= 1.0, prefix + "loss.gamma", loss.gamma, "between 0 and 1")
+    require(0.0 < loss.tau <= 1.0, prefix + "loss.tau", loss.tau, "above 0 and at most 1")
+    require(
         loss.target_update in {"soft", "hard"},
-        "loss.target_update",
+        prefix + "loss.target_update",
         loss.target_update,
         "soft, hard",
     )
-    _require(
+    require(
         0.0 <= exploration.final_sigma <= exploration.initial_sigma,
-        "exploration.final_sigma",
+        prefix + "exploration.final_sigma",
         exploration.final_sigma,
         f"between 0 and exploration.initial_sigma = {exploration.initial_sigma}",
     )
 
 
-def _require(condition: bool, name: str, value: object, allowed: str) -> None:
+def require(condition: bool, name: str, value: object, allowed: str) -> None:
+    """Refuse a field's value unless the condition holds.
+
+    Raises:
+        ConfigError: it does not.
+    """
     if not condition:
         raise ConfigError(f"{name} = {value!r}: must be {allowed}")
+
+
+def _check_seed(name: str, seed: int) -> None:
+    require(seed >= 0, name, seed, "at least 0")
+    require(seed < 2**63, name, seed, "below 2^63")

@@ -10,7 +10,7 @@ from torch import nn
 from torchrl.data import TensorDictReplayBuffer
 
 from marl_lanes.envs.batched import LaneChangeEnv
-from marl_lanes.training.checkpoint import CheckpointError
+from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.files import write_atomically
 
 _FORMAT = "marl-lanes training state 1"

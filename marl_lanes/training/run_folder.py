@@ -7,13 +7,22 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from marl_lanes.training.config import ConfigError
+from marl_lanes.training.config import CONFIG_FILE, ConfigError
 from marl_lanes.training.files import write_atomically
 
 Value = float | int | str
 
 FINAL_MODEL = "final.pt"
 """File name of the model at the end of the training."""
+
+STATE_FILE = "resume.pt"
+"""File name of the training state."""
+
+TIMES_FILE = "training.json"
+"""File name of the seconds that the training took; it is there when the training is over."""
+
+EVALUATED = ("mean_return", "completion_rate", "mean_num_steps")
+"""The metrics of each saved model that go into its table."""
 
 
 class Table:
@@ -51,6 +60,19 @@ class Table:
         self._file.close()
 
 
+def check_empty(path: Path) -> None:
+    """Refuse a folder for a new run that holds something.
+
+    Raises:
+        ConfigError: it does.
+    """
+    if path.exists() and any(path.iterdir()):
+        raise ConfigError(
+            f"output = {str(path)!r}: must be a new or empty folder; a run that it holds "
+            f"already can be continued with resume={path}"
+        )
+
+
 class RunFolder:
     """Paths and logs of one run.
 
@@ -58,18 +80,18 @@ class RunFolder:
         path: the folder; made when missing.
         until: None for a new run, which needs an empty folder; for one that is resumed, the
             transitions of its checkpoint, beyond which the logs are cut off.
+        evaluated: the metrics in the table of the saved models.
 
     Raises:
         ConfigError: a new run's folder already holds a run.
     """
 
-    def __init__(self, path: Path, *, until: int | None = None) -> None:
+    def __init__(
+        self, path: Path, *, until: int | None = None, evaluated: Sequence[str] = EVALUATED
+    ) -> None:
         self.path = path
-        if until is None and path.exists() and any(path.iterdir()):
-            raise ConfigError(
-                f"output = {str(path)!r}: must be a new or empty folder; a run that it holds "
-                f"already can be continued with resume={path}"
-            )
+        if until is None:
+            check_empty(path)
         self.checkpoints.mkdir(parents=True, exist_ok=True)
         self.metrics = Table(
             path / "metrics.csv",
@@ -81,7 +103,7 @@ class RunFolder:
         )
         self.evaluations = Table(
             path / "evaluations.csv",
-            ("transitions", "checkpoint", "mean_return", "completion_rate", "mean_num_steps"),
+            ("transitions", "checkpoint", *evaluated),
             until=until,
         )
         self._board = SummaryWriter(
@@ -91,7 +113,7 @@ class RunFolder:
     @property
     def config(self) -> Path:
         """The run's configuration."""
-        return self.path / "config.yaml"
+        return self.path / CONFIG_FILE
 
     @property
     def checkpoints(self) -> Path:
@@ -101,7 +123,12 @@ class RunFolder:
     @property
     def state(self) -> Path:
         """What resuming needs."""
-        return self.path / "resume.pt"
+        return self.path / STATE_FILE
+
+    @property
+    def times(self) -> Path:
+        """The seconds that the training took."""
+        return self.path / TIMES_FILE
 
     @property
     def figures(self) -> Path:

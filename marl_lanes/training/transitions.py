@@ -1,16 +1,19 @@
-"""From a collected batch of slots to the transitions and maneuvers of live agents."""
+"""From a collected batch of slots to the transitions and maneuvers of acting agents."""
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
+from marl_lanes.envs.batched import FOLLOWERS, GROUP
 
-def live_transitions(batch: TensorDictBase, group: str = "changers") -> TensorDict:
-    """The transitions of the agents that steered, one row each, for a replay buffer.
 
-    Rows are those in which the agent was engaged (or aborting) when it acted; a waiting agent's
-    action has no effect. ``terminated`` and ``truncated`` are the agent's own.
+def live_transitions(batch: TensorDictBase, group: str = GROUP) -> TensorDict:
+    """The transitions of the agents that acted, one row each, for a replay buffer.
+
+    Rows are those in which the agent was ``acting``: its action had an effect. ``terminated`` and
+    ``truncated`` are the agent's own; a follower's also terminates with its pairing, after which it
+    is paid nothing more.
 
     Args:
         batch: (E, T) from a collector over ``LaneChangeEnv``, or of any shape before the slots.
@@ -20,28 +23,33 @@ def live_transitions(batch: TensorDictBase, group: str = "changers") -> TensorDi
         (N,) with observation, action and next: observation, reward, done, terminated, truncated.
     """
     now, after = batch[group], batch["next", group]
-    engaged = now["engaged"]
+    acting = now["acting"]
     rows = {
-        "observation": now["observation"][engaged],
-        "action": now["action"][engaged],
+        "observation": now["observation"][acting],
+        "action": now["action"][acting],
     }
     following = {
-        key: after[key][engaged]
+        key: after[key][acting]
         for key in ("observation", "reward", "done", "terminated", "truncated")
     }
+    if group == FOLLOWERS:
+        is_parted = ~after["acting"][acting].unsqueeze(-1)
+        following["done"] = following["done"] | is_parted
+        following["terminated"] = following["terminated"] | is_parted
     size = [rows["action"].shape[0]]
     return TensorDict({**rows, "next": TensorDict(following, size)}, size, device=batch.device)
 
 
-def finished_maneuvers(batch: TensorDictBase, group: str = "changers") -> tuple[Tensor, Tensor]:
-    """Return and outcome of every command that ended in the batch, two (N,) tensors."""
+def finished_maneuvers(batch: TensorDictBase, group: str = GROUP) -> tuple[Tensor, Tensor]:
+    """The agent's return and the outcome of every command that ended in the batch, (N,) each."""
     after = batch["next", group]
     ended = after["done"].squeeze(-1)
-    return after["episode_reward"].squeeze(-1)[ended], after["outcome"][ended]
+    outcome = batch["next", GROUP, "outcome"]
+    return after["episode_reward"].squeeze(-1)[ended], outcome[ended]
 
 
 class LivePolicy(TensorDictModuleBase):
-    """Evaluate a policy for the agents that steer, and no other slot; the others get zeros.
+    """Evaluate a policy for the agents that act, and no other slot; the others get zeros.
 
     Args:
         policy: observations (N, F) to actions (N, D).
@@ -49,20 +57,20 @@ class LivePolicy(TensorDictModuleBase):
         group: the group's name.
     """
 
-    def __init__(self, policy: nn.Module, action_dim: int, group: str = "changers") -> None:
+    def __init__(self, policy: nn.Module, action_dim: int, group: str = GROUP) -> None:
         super().__init__()
         self.policy = policy
         self.action_dim = action_dim
         self.group = group
-        self.in_keys = [(group, "observation"), (group, "engaged")]
+        self.in_keys = [(group, "observation"), (group, "acting")]
         self.out_keys = [(group, "action")]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the action, (..., A, D), zero where no agent steers."""
+        """Write the action, (..., A, D), zero where no agent acts."""
         observation = tensordict[self.group, "observation"]
-        engaged = tensordict[self.group, "engaged"]
-        action = observation.new_zeros((*engaged.shape, self.action_dim))
+        acting = tensordict[self.group, "acting"]
+        action = observation.new_zeros((*acting.shape, self.action_dim))
         with torch.no_grad():
-            action[engaged] = self.policy(observation[engaged])
+            action[acting] = self.policy(observation[acting])
         tensordict.set((self.group, "action"), action)
         return tensordict

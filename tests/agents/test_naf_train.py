@@ -1,6 +1,7 @@
 """The training program: its run folder, interruption, repetition, and what it refuses."""
 
 import csv
+import dataclasses
 import importlib.util
 import json
 import os
@@ -17,7 +18,14 @@ from omegaconf import OmegaConf
 
 from marl_lanes import load_scenario
 from marl_lanes.evaluation.metrics import summarise
-from marl_lanes.training.checkpoint import load_checkpoint
+from marl_lanes.naf.checkpoint import read_checkpoint
+from marl_lanes.training.checkpoint import (
+    load_checkpoint,
+    make_follower_network,
+    make_network,
+    save_checkpoint,
+)
+from marl_lanes.training.config import TrainingConfig, read_config
 
 PROGRAM = Path(__file__).parents[2] / "agents" / "naf" / "train.py"
 TINY = [
@@ -34,6 +42,10 @@ TINY = [
     "evaluation.num_maneuvers=2",
     "evaluation.final_num_maneuvers=3",
 ]
+PAPER = load_scenario("paper")
+collector_warnings = pytest.mark.filterwarnings(
+    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+)
 PNG = b"\x89PNG\r\n\x1a\n"
 FIGURES = {"loss.png", "returns.png", "saved_models.png", "first_and_last.png"}
 
@@ -116,7 +128,7 @@ def test_the_tables(whole):
     before = [0, *transitions[:-1]]
     assert [int(row["stage"]) for row in metrics] == [1 if t < 200 else 2 for t in before]
     for row, start_ in zip(metrics, before, strict=True):
-        sigma = 0.05 + min(1.0, start_ / 6e6) * (0.01 - 0.05)
+        sigma = 0.1 + min(1.0, start_ / 6e6) * (0.02 - 0.1)
         assert float(row["sigma"]) == pytest.approx(sigma, abs=1e-7)
     assert float(metrics[-1]["loss"]) > 0.0
     maneuvers = rows(run / "maneuvers.csv")
@@ -166,7 +178,7 @@ def test_the_stored_config_is_complete(whole):
 def test_mu_is_frozen_in_stage_one_alone(whole):
     run, _, _ = whole
     steps = sorted((run / "checkpoints").glob("step_*.pt"))
-    first, last = load_checkpoint(steps[0]), load_checkpoint(run / "checkpoints" / "final.pt")
+    first, last = read_checkpoint(steps[0]), read_checkpoint(run / "checkpoints" / "final.pt")
     assert first.transitions < 250
     assert last.transitions >= 500
     assert last.scenario == "paper"
@@ -245,6 +257,12 @@ def program():
     return module
 
 
+def given(*options):
+    """What hydra makes of the tiny budget and the options."""
+    with initialize_config_dir(str(PROGRAM.parent), version_base="1.3"):
+        return compose("config", [*TINY, "output=run", *options])
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -257,9 +275,50 @@ def program():
 )
 def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)
-    with initialize_config_dir(str(PROGRAM.parent), version_base="1.3"):
-        given = compose("config", [*TINY, "output=run", *options])
     with pytest.raises(ValueError, match="(?i)" + message.replace("(", r"\(")) as caught:
-        program.start(program.read_config(given))
+        program.start(read_config(given(*options), TrainingConfig))
     assert len(str(caught.value).splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@collector_warnings
+def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path, monkeypatch):
+    run, _, _ = whole
+    monkeypatch.chdir(tmp_path)
+    initial = run / "checkpoints" / "final.pt"
+    config = read_config(given(f"initial_checkpoint={initial}"), TrainingConfig)
+    learner, _ = program.start(config)
+    assert learner.transitions == 0
+    assert_same_weights(weights(run), learner.network.state_dict())
+    # The target network starts there as well.
+    observation = torch.randn(5, 6)
+    with learner.loss.target_value_network_params.to_module(learner.loss.value_network):
+        target = learner.loss.value_network.max_value(observation)
+    assert torch.equal(target, learner.network.max_value(observation))
+    learner.close()
+    # What is resumed has weights of its own, and does not need the file again.
+    initial = "gone.pt"
+    config = dataclasses.replace(config, initial_checkpoint=initial, resume="run")
+    learner, _ = program.start(config)
+    assert_same_weights(weights(run), learner.network.state_dict())
+    learner.close()
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (None, r"i\.pt: cannot be read"),
+        (make_follower_network(PAPER, [8]), r"i\.pt: its features .* changers of .* 'paper'"),
+        (make_network(PAPER, "damped", [8]), r"network\.mu = 'paper': must be 'damped'.*i\.pt"),
+        (make_network(PAPER, "paper", [9]), r"network\.hidden_sizes = \[8\]: must be \[9\]"),
+    ],
+    ids=["none", "follower", "mu", "widths"],
+)
+def test_an_initial_checkpoint_that_does_not_fit(program, tmp_path, monkeypatch, network, message):
+    monkeypatch.chdir(tmp_path)
+    if network is not None:
+        save_checkpoint(tmp_path / "i.pt", network, "paper", 3)
+    before = list(tmp_path.iterdir())
+    with pytest.raises(ValueError, match=message):
+        program.start(read_config(given("initial_checkpoint=i.pt"), TrainingConfig))
+    assert list(tmp_path.iterdir()) == before

@@ -5,7 +5,13 @@ import pytest
 
 from marl_lanes import load_scenario
 from marl_lanes.evaluation import figures
-from marl_lanes.evaluation.figures import draw_maneuver, draw_training
+from marl_lanes.evaluation.figures import (
+    check_figure,
+    draw_crossplay,
+    draw_gaps,
+    draw_maneuver,
+    draw_training,
+)
 from marl_lanes.evaluation.rollout import TRACE, Maneuver
 from marl_lanes.traffic.state import Outcome
 
@@ -96,7 +102,7 @@ def maneuver(count, rate):
     rows = np.zeros(count, TRACE)
     rows["yaw_rate"] = rate
     rows["yaw_acceleration"] = np.arange(count)
-    return Maneuver(0, 0, Outcome.COMPLETED, 0, 0, 0.0, 1.0, False, rows)
+    return Maneuver(0, 0, Outcome.COMPLETED, 0, 0, 0.0, 1.0, False, -2.0, rows)
 
 
 @pytest.mark.parametrize("count", [0, 5])
@@ -113,3 +119,112 @@ def test_two_models_on_one_maneuver(tmp_path, drawn, count):
     assert lines(figure)["late"].get_ydata().tolist() == [0.0, 1.0, 2.0]
     assert "rad/s^2" in figure.axes[0].get_ylabel()
     assert "rad/s]" in figure.axes[1].get_ylabel()
+
+
+def statistics(value, low=None, high=None):
+    return {"value": value, "low": low, "high": high}
+
+
+def crossplay_result(time):
+    """Two changers, three kinds of follower; completed by 0.0, 0.1, ... 0.5."""
+    pairs = []
+    for number, (changer, follower) in enumerate(
+        (changer, follower) for changer in ("one", "two") for follower in ("kind", "none", "rude")
+    ):
+        found = {
+            "completion_rate": statistics(number / 10, 0.0, 0.875),
+            "abort_or_miss_rate": statistics(0.25, 0.2, 0.3),
+            "collision_rate": statistics(0.01, 0.0, 0.02),
+            "mean_time_to_completion": time,
+        }
+        pairs.append({"changer": changer, "followers": follower, "statistics": found})
+    return {
+        "num_maneuvers": 40,
+        "confidence": 0.95,
+        "changers": {"one": "paper", "two": "paper"},
+        "followers": {"kind": {}, "none": {}, "rude": {}},
+        "pairs": pairs,
+    }
+
+
+@pytest.mark.parametrize("time", [statistics(5.5, 5.25, 6.0), statistics(None)])
+def test_a_crossplay_is_four_heat_maps(tmp_path, drawn, time):
+    path = tmp_path / "deep" / "pairs.png"
+    draw_crossplay(path, crossplay_result(time))
+    assert path.read_bytes().startswith(PNG)
+    assert [file.name for file in path.parent.iterdir()] == ["pairs.png"]
+    panels = [axes for axes in drawn["pairs.png"].axes if axes.get_images() and axes.get_title()]
+    assert [axes.get_title() for axes in panels] == [
+        "completed [%]",
+        "aborted or missed [%]",
+        "collided [%]",
+        "time to complete [s]",
+    ]
+    completed, aborted, collided, took = panels
+    for axes in panels:
+        assert [text.get_text() for text in axes.get_xticklabels()] == ["kind", "none", "rude"]
+        assert [text.get_text() for text in axes.get_yticklabels()] == ["one", "two"]
+        assert len(axes.texts) == 6
+    # Row by row: a changer's row, a follower's column.
+    values = np.asarray(completed.get_images()[0].get_array())
+    assert values == pytest.approx(np.array([[0.0, 10.0, 20.0], [30.0, 40.0, 50.0]]))
+    cells = {text.get_position(): text.get_text() for text in completed.texts}
+    assert cells[2, 0] == "20.0\n[0.0, 87.5]"
+    assert cells[0, 1] == "30.0\n[0.0, 87.5]"
+    assert {text.get_text() for text in aborted.texts} == {"25.0\n[20.0, 30.0]"}
+    defined = time["value"] is not None
+    assert {text.get_text() for text in took.texts} == {"5.50\n[5.25, 6.00]" if defined else "-"}
+    # Colours span what is usual at least: 1 % of collisions does not look like 100 %.
+    assert collided.get_images()[0].get_clim() == (0.0, 10.0)
+    assert aborted.get_images()[0].get_clim() == (0.0, 25.0)
+    assert completed.get_images()[0].get_clim() == (0.0, 100.0)
+
+
+def test_the_gap_under_every_kind_of_follower(tmp_path, drawn):
+    def found(offset, entry, abort):
+        shown = {
+            "time": [0.0, 0.1, 0.2, 0.3],
+            "gap": [20.0, 20.0 + offset, 21.0, 22.0],
+            "follower_acceleration": [None, offset, 0.5, 0.25],
+            "entry_time": entry,
+            "abort_time": abort,
+        }
+        return {"shown": shown}
+
+    followers = {"kind": found(0.5, 0.1, None), "rude": found(-0.5, None, 0.2)}
+    result = {"maneuver": 4, "seed": 2, "scenario": "dense", "followers": followers}
+    draw_gaps(tmp_path / "gaps.svg", result)
+    assert b"<svg" in (tmp_path / "gaps.svg").read_bytes()
+    gap, acceleration = drawn["gaps.svg"].axes
+    assert lines(drawn["gaps.svg"])["kind"].get_ydata().tolist() == [20.0, 20.5, 21.0, 22.0]
+    assert lines(drawn["gaps.svg"], 1)["rude"].get_ydata()[1:].tolist() == [-0.5, 0.5, 0.25]
+    for axes, at_entry, at_abort in ((gap, 20.5, 21.0), (acceleration, 0.5, 0.5)):
+        marks = {line.get_marker(): line for line in axes.get_lines() if line.get_marker() in "ox"}
+        assert marks["o"].get_xydata().tolist() == [[0.1, at_entry]]
+        assert marks["x"].get_xydata().tolist() == [[0.2, at_abort]]
+        curves = {line.get_label(): line.get_color() for line in axes.get_lines()}
+        assert marks["o"].get_color() == curves["kind"]
+        assert marks["x"].get_color() == curves["rude"]
+    assert [text.get_text() for text in gap.get_legend().get_texts()] == ["kind", "rude"]
+    assert "[m]" in gap.get_ylabel()
+    assert "[m/s^2]" in acceleration.get_ylabel()
+
+
+def test_a_picture_is_whole_or_not_there(tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(figures.Figure, "savefig", fail)
+    path = tmp_path / "pairs.png"
+    path.write_bytes(b"before")
+    with pytest.raises(OSError, match="disk full"):
+        draw_crossplay(path, crossplay_result(statistics(5.0)))
+    assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"before"]
+
+
+def test_paths_that_no_figure_can_go_to(tmp_path):
+    for name in ("a.png", "deep/b.PDF", "c.svg"):
+        check_figure(tmp_path / name)
+    for name in (".", "a", "a.xyz"):
+        with pytest.raises(ValueError, match=r"must be a file that ends in one of .*png"):
+            check_figure(tmp_path / name)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from marl_lanes import load_scenario
-from marl_lanes.evaluation.metrics import evaluate, measure, summarise
+from marl_lanes.evaluation.metrics import AVERAGES, evaluate, measure, summarise
 from marl_lanes.evaluation.rollout import TRACE, Maneuver
 from marl_lanes.traffic.state import Outcome, Phase
 
@@ -21,7 +21,7 @@ def trace(count, **columns):
     rows["phase"] = Phase.ENGAGED
     rows["speed"] = 20.0
     rows["deviation_before"] = 3.75
-    rows["leader_gap"] = rows["follower_gap"] = np.inf
+    rows["leader_gap"] = rows["follower_gap"] = rows["follower_gap_before"] = np.inf
     for name in ("leader_speed", "follower_speed", "follower_acceleration"):
         rows[name] = np.nan
     for name, values in columns.items():
@@ -39,6 +39,7 @@ def maneuver(rows, outcome=Outcome.MISSED, **changes):
         "waiting_time": 1.5,
         "time_to_end": 9.0,
         "has_side_collision": False,
+        "episode_reward": -4.5,
         "trace": rows,
     }
     return Maneuver(**(values | changes))
@@ -141,6 +142,14 @@ def test_follower_braking(acceleration, expected):
 
 
 @pytest.mark.parametrize(
+    ("acceleration", "expected"), [([0.5, -2.5, -1.5], 2.5), ([0.5, 0.25, 1.0], 0.0)]
+)
+def test_the_changers_own_braking(acceleration, expected):
+    assert measured(acceleration=acceleration).max_changer_braking == expected
+    assert math.isnan(measured(0).max_changer_braking)
+
+
+@pytest.mark.parametrize(
     ("speed", "follower", "critical"),
     [
         # UN R79's example: 130 km/h behind 100 km/h.
@@ -182,13 +191,24 @@ def test_the_optimum_is_of_the_last_attempt():
 def sample():
     """One completed maneuver, one that collided, one that never engaged."""
     completed = trace(
-        30, reward_acceleration=-0.1, reward_yaw_rate=-0.02, follower_acceleration=-0.5
+        30,
+        reward_acceleration=-0.1,
+        reward_yaw_rate=-0.02,
+        follower_acceleration=-0.5,
+        acceleration=-0.25,
     )
-    collided = trace(4, reward_deviation=-0.25, leader_gap=10.0, leader_speed=15.0)
+    collided = trace(
+        4,
+        reward_deviation=-0.25,
+        leader_gap=10.0,
+        leader_speed=15.0,
+        follower_acceleration=-1.5,
+        acceleration=-6.0,
+    )
     return [
         maneuver(completed, Outcome.COMPLETED, num_aborts=2, residual_deviation=[0.125]),
         maneuver(collided, Outcome.COLLISION, has_side_collision=True, num_aborts=1),
-        maneuver(trace(0), Outcome.MISSED, waiting_time=6.0),
+        maneuver(trace(0), Outcome.MISSED, waiting_time=6.0, episode_reward=-0.5),
         maneuver(trace(2), Outcome.OFF_ROAD, waiting_time=0.0),
     ]
 
@@ -201,6 +221,9 @@ def test_the_summary_counts_and_averages():
     assert found["horizon_rate"] == 0.0
     assert found["abort_rate"] == 0.5
     assert found["mean_num_aborts"] == 0.75
+    # Two were turned back, another one was missed.
+    assert found["abort_or_miss_rate"] == 0.75
+    assert found["mean_episode_reward"] == -3.5
     assert found["mean_return"] == pytest.approx(-3.6)
     assert found["mean_return_acceleration"] == pytest.approx(-3.0)
     assert found["mean_return_yaw_rate"] == pytest.approx(-0.6)
@@ -214,6 +237,10 @@ def test_the_summary_counts_and_averages():
     assert found["mean_time_to_completion"] == 9.0
     assert found["mean_residual_overshoot"] == found["max_residual_overshoot"] == 0.125
     assert found["mean_max_follower_braking"] == found["max_follower_braking"] == 0.5
+    assert found["mean_max_changer_braking"] == found["max_changer_braking"] == 0.25
+    # Of all with a follower: the completed one and the one that collided.
+    assert found["mean_max_follower_braking_all"] == 1.0
+    assert found["max_follower_braking_all"] == 1.5
     assert found["min_time_to_collision"] == pytest.approx(2.0)
     assert found["s_critical_violation_rate"] is None
 
@@ -229,6 +256,27 @@ def test_means_and_largest_are_over_the_completed_ones():
     assert found["max_peak_yaw_acceleration"] == pytest.approx(0.3)
     assert found["cost_ratio"] is None
     assert found["mean_optimal_return"] is None
+
+
+def test_turned_back_and_missed_counts_once():
+    rows = [
+        maneuver(trace(0), outcome, num_aborts=num_aborts)
+        for outcome in (Outcome.COMPLETED, Outcome.MISSED, Outcome.COLLISION, Outcome.HORIZON)
+        for num_aborts in (0, 3)
+    ]
+    found = evaluate(rows, PAPER, with_optimum=False)
+    assert (found["abort_rate"], found["missed_rate"]) == (0.5, 0.25)
+    assert found["abort_or_miss_rate"] == 0.625
+
+
+def test_every_mean_is_that_of_its_contributions():
+    measures = [measure(one, PAPER, with_optimum=False) for one in sample()]
+    found = summarise(measures)
+    for key, contribution in AVERAGES.items():
+        values = [value for value in map(contribution, measures) if math.isfinite(value)]
+        assert found[key] == (np.mean(values) if values else None), key
+        if not key.startswith("mean_"):
+            assert set(values) <= {0.0, 1.0}, key
 
 
 def test_what_no_maneuver_defines_is_none():

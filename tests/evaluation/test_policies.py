@@ -86,3 +86,51 @@ def test_random_is_seeded_and_within_the_bound():
     assert not np.array_equal(act(rows), act(rows))
     assert act(rows).max() > 0.45
     assert act(rows[:0]).shape == (0, 1)
+
+
+BOTH = load_scenario(
+    "paper",
+    {
+        "action": {"longitudinal": {"max_acceleration": 1.5, "max_braking": 2.5}},
+        "observation": {"features": (*FEATURES, "car_following_acceleration")},
+    },
+)
+
+
+def test_lane_keeping_with_two_actions_follows_the_car_ahead():
+    rows = np.asarray([[20.0, 0.0, 3.85, 0.01, 0.02, 0.001]] * 4, np.float32)
+    wanted = np.asarray([[0.75], [-1.25], [9.0], [-9.0]], np.float32)
+    actions = make_lane_keeping_policy(BOTH)(np.hstack([rows, wanted]))
+    assert actions[:, :1] == pytest.approx(make_lane_keeping_policy(PAPER)(rows))
+    assert actions[:, 1].tolist() == [0.75, -1.25, 1.5, -2.5]
+    assert make_lane_keeping_policy(BOTH)(np.zeros((0, 7), np.float32)).shape == (0, 2)
+
+
+def test_lane_keeping_with_two_actions_drives_like_lane_keeping():
+    """What car following would do, done by the agent: the same maneuvers up to rounding."""
+    both = load_scenario(BOTH, {"action": {"longitudinal": {"max_braking": 8.0}}})
+    driven = [
+        run_maneuvers(scenario, make_lane_keeping_policy(scenario), 10, seed=1)
+        for scenario in (both, PAPER)
+    ]
+    for one, other in zip(*driven, strict=True):
+        assert one.outcome == other.outcome
+        assert one.born_step == other.born_step
+        assert one.time_to_end == pytest.approx(other.time_to_end, abs=0.5)
+
+
+def test_lane_keeping_with_two_actions_needs_the_feature():
+    other = load_scenario("paper", {"action": {"longitudinal": {}}})
+    with pytest.raises(ScenarioError, match=r"must hold \['car_following_acceleration'\]"):
+        make_lane_keeping_policy(other)
+
+
+def test_random_with_two_actions_is_within_both_bounds():
+    actions = make_random_policy(BOTH, 3)(np.zeros((2000, 7), np.float32))
+    assert actions.shape == (2000, 2)
+    low, high = actions.min(axis=0), actions.max(axis=0)
+    assert low == pytest.approx([-0.5, -2.5], abs=0.02)
+    assert high == pytest.approx([0.5, 1.5], abs=0.02)
+    assert (low >= [-0.5, -2.5]).all()
+    assert (high <= [0.5, 1.5]).all()
+    assert abs(np.corrcoef(actions.T)[0, 1]) < 0.1

@@ -7,8 +7,9 @@ import torch
 from marl_lanes import ScenarioError, load_scenario, parallel_env
 from marl_lanes.evaluation.metrics import evaluate, measure
 from marl_lanes.evaluation.rollout import run_maneuvers
+from marl_lanes.naf.checkpoint import greedy_policy
 from marl_lanes.traffic.state import Outcome, Phase
-from marl_lanes.training.checkpoint import greedy_policy, make_network
+from marl_lanes.training.checkpoint import make_network
 
 torch.set_num_threads(1)
 QUICK = {
@@ -84,6 +85,7 @@ def test_maneuvers_are_those_of_the_environment(driven):
         penalty = -10.0 if one.outcome in {Outcome.COLLISION, Outcome.OFF_ROAD} else 0.0
         found = measure(one, ADVERSARIAL, with_optimum=False).return_
         assert found + penalty == pytest.approx(returns[agent], abs=1e-4)
+        assert one.episode_reward == pytest.approx(returns[agent], abs=1e-4)
 
 
 def test_traces_are_of_steering_steps_and_times_add_up(driven):
@@ -109,6 +111,7 @@ def test_traces_are_of_steering_steps_and_times_add_up(driven):
 
 def test_columns_before_a_step_are_those_after_the_last(driven):
     rows = max(driven, key=lambda one: len(one.trace)).trace
+    assert len(rows) > 20
     together = (np.diff(rows["step"]) == 1) & (rows["phase"][1:] == rows["phase"][:-1])
     assert together.sum() > 20
     for before, after in (
@@ -123,6 +126,26 @@ def test_columns_before_a_step_are_those_after_the_last(driven):
     deviation = -0.05 * np.abs(rows["lateral_deviation"]) / 1.875
     assert rows["reward_deviation"] == pytest.approx(deviation)
     assert rows["reward_acceleration"] == pytest.approx(-2.0 * np.abs(rows["yaw_acceleration"]))
+
+
+def test_what_is_recorded_of_the_vehicle_and_of_its_follower(driven):
+    """Speed is the last one plus dt times the acceleration; a gap is to one vehicle."""
+    dt = ADVERSARIAL.time_step
+    checked = 0
+    for one in driven:
+        rows = one.trace
+        if not len(rows):
+            continue
+        assert ((rows["follower_id"] == -1) == np.isinf(rows["follower_gap"])).all()
+        together = np.diff(rows["step"]) == 1
+        moving = together & (rows["speed"][1:] > 0.0)
+        speeds = rows["speed"][:-1] + dt * rows["acceleration"][1:]
+        assert rows["speed"][1:][moving] == pytest.approx(speeds[moving])
+        same = together & (np.diff(rows["follower_id"]) == 0) & (rows["follower_id"][1:] >= 0)
+        gaps = rows["follower_gap_before"][1:], rows["follower_gap"][:-1]
+        assert gaps[0][same] == pytest.approx(gaps[1][same])
+        checked += same.sum()
+    assert checked > 200
 
 
 def test_outcomes_are_counted(driven):
@@ -183,3 +206,50 @@ def test_at_least_one_maneuver(number):
 def test_episodes_without_an_end_are_refused(overrides):
     with pytest.raises(ScenarioError, match=r"scenario 'paper'.*needs num_agents.*probability"):
         run_maneuvers(load_scenario("paper", overrides), slowly, 1)
+
+
+BOTH = load_scenario(
+    ADVERSARIAL,
+    {
+        "action": {"longitudinal": {}},
+        "reward": {"delay_weight": 0.5, "longitudinal_weight": 0.1},
+    },
+)
+
+
+def test_two_actions_are_asked_of_those_that_wait_as_well():
+    calls = []
+
+    def act(observations):
+        calls.append(len(observations))
+        return np.hstack([slowly(observations), np.full((len(observations), 1), 0.5)])
+
+    maneuvers = run_maneuvers(BOTH, act, 5, seed=0)
+    lives = [round(one.time_to_end / BOTH.time_step) for one in maneuvers]
+    steered = [len(one.trace) for one in maneuvers]
+    assert sum(calls) == sum(lives) > sum(steered)
+    for one, life in zip(maneuvers, lives, strict=True):
+        # The trace is of steering steps alone; delay is paid for all of them.
+        assert set(one.trace["phase"]) <= {Phase.ENGAGED, Phase.ABORTING}
+        found = measure(one, BOTH, with_optimum=False)
+        assert one.episode_reward <= found.return_ - 0.5 * BOTH.time_step * life + 1e-6
+        # Car following would take up to 2 m/s^2.
+        assert (one.trace["acceleration"] <= 0.5 + 1e-9).all()
+    assert max(one.trace["acceleration"].max() for one in maneuvers if len(one.trace)) > 0.4
+
+
+def test_followers_may_be_given():
+    scenario = load_scenario(ADVERSARIAL, {"followers": {"mix": {"given": 1.0}}})
+    seen = []
+
+    def pull(observations):
+        seen.append(observations.shape)
+        return np.full(len(observations), 2.0)
+
+    maneuvers = run_maneuvers(scenario, slowly, 20, seed=0, follower_policies={"given": pull})
+    assert sum(count for count, _ in seen) > 50
+    assert {width for _, width in seen} == {9}
+    again = run_maneuvers(scenario, slowly, 20, seed=0, follower_policies={"given": pull})
+    assert [repr(one) for one in again] == [repr(one) for one in maneuvers]
+    with pytest.raises(ScenarioError, match="given"):
+        run_maneuvers(scenario, slowly, 1)

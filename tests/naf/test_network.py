@@ -365,8 +365,11 @@ def test_a_missing_column_is_named(mu):
     ("kwargs", "message"),
     [
         ({"mu": "linear"}, "unknown mu 'linear', allowed: paper, damped, mlp"),
-        ({"mu": "paper", "actions": 2}, "'paper' gives one action.*only mu 'mlp'"),
-        ({"mu": "damped", "actions": 3}, "'damped' gives one action.*only mu 'mlp'"),
+        (
+            {"mu": "paper", "actions": 2},
+            "'paper' gives one action.*box has 2; allowed: paper.idm, .*mlp",
+        ),
+        ({"mu": "damped", "actions": 3}, "'damped' gives one action.*box has 3; allowed: mlp"),
         ({"bound": -1.0}, "action_low < action_high"),
         ({"bound": math.inf}, "finite"),
         ({"actions": 0}, "one length"),

@@ -8,11 +8,13 @@ import pytest
 import torch
 
 from marl_lanes import load_scenario
+from marl_lanes.envs.followers import load_follower
+from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy, read_checkpoint
 from marl_lanes.naf.network import NAFNetwork
+from marl_lanes.traffic.observation import FOLLOWER_FEATURES
 from marl_lanes.training.checkpoint import (
-    CheckpointError,
-    greedy_policy,
     load_checkpoint,
+    make_follower_network,
     make_network,
     save_checkpoint,
 )
@@ -21,6 +23,15 @@ from marl_lanes.training.resume import read_state
 
 torch.set_num_threads(1)
 PAPER = load_scenario("paper")
+LONGITUDINAL = load_scenario(
+    "paper",
+    {
+        "action": {"longitudinal": {"max_acceleration": 1.5, "max_braking": 2.5}},
+        "observation": {
+            "features": [*PAPER.observation.features, "car_following_acceleration"],
+        },
+    },
+)
 
 
 class Attack:
@@ -79,7 +90,7 @@ def test_a_saved_policy_acts_as_before(tmp_path, mu):
 
 
 def test_greedy_actions_of_no_agents(path):
-    act = greedy_policy(load_checkpoint(path).network)
+    act = greedy_policy(read_checkpoint(path).network)
     assert act(np.zeros((0, 6), np.float32)).shape == (0, 1)
 
 
@@ -91,7 +102,7 @@ def test_it_holds_only_plain_types_and_tensors(path):
     network.load_state_dict(content["weights"])
 
 
-@pytest.mark.parametrize("read", [load_checkpoint, read_state])
+@pytest.mark.parametrize("read", [read_checkpoint, read_state])
 @pytest.mark.parametrize("save", ["pickle", "torch"])
 def test_code_in_a_file_is_not_run(tmp_path, read, save):
     target, file = tmp_path / "made", tmp_path / "evil.pt"
@@ -120,7 +131,7 @@ def truncate(file, share):
 def test_a_truncated_file_is_refused(path, share):
     truncate(path, share)
     with pytest.raises(CheckpointError, match=r"policy\.pt") as caught:
-        load_checkpoint(path)
+        read_checkpoint(path)
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -139,13 +150,13 @@ def test_a_truncated_file_is_refused(path, share):
 def test_other_files_are_refused(tmp_path, data):
     file = tmp_path / "other.pt"
     file.write_bytes(data)
-    for read in (load_checkpoint, read_state):
+    for read in (read_checkpoint, read_state):
         with pytest.raises(CheckpointError, match=r"other\.pt"):
             read(file)
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
-    for read in (load_checkpoint, read_state):
+    for read in (read_checkpoint, read_state):
         with pytest.raises(CheckpointError, match=r"absent\.pt"):
             read(tmp_path / "absent.pt")
         with pytest.raises(CheckpointError, match=tmp_path.name):
@@ -167,7 +178,7 @@ def test_other_forms_are_refused(tmp_path, content):
     file = tmp_path / "form.pt"
     torch.save(content, file)
     with pytest.raises(CheckpointError, match=r"form\.pt.*marl-lanes NAF policy 1"):
-        load_checkpoint(file)
+        read_checkpoint(file)
 
 
 def test_a_checkpoint_is_not_a_training_state(path):
@@ -181,7 +192,7 @@ def test_what_lacks_a_part_is_refused(path, key):
     del content[key]
     torch.save(content, path)
     with pytest.raises(CheckpointError, match=rf"policy\.pt.*{key}"):
-        load_checkpoint(path)
+        read_checkpoint(path)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +215,7 @@ def test_inconsistent_parts_are_refused(path, key, value):
     content[key] = value
     torch.save(content, path)
     with pytest.raises(CheckpointError, match=r"policy\.pt"):
-        load_checkpoint(path)
+        read_checkpoint(path)
 
 
 @pytest.mark.parametrize(
@@ -235,6 +246,52 @@ def test_any_bound_that_fits_is_taken(tmp_path):
     other = load_scenario("paper", {"action": {"max_yaw_acceleration": 0.3}})
     save_checkpoint(tmp_path / "p.pt", make_network(other, "paper"), "other", 0)
     assert load_checkpoint(tmp_path / "p.pt", other).scenario == "other"
+
+
+def test_two_actions_have_the_scenarios_bounds(tmp_path):
+    network = make_network(LONGITUDINAL, "damped+idm", [8])
+    assert network.config["action_low"] == [-0.5, -2.5]
+    assert network.config["action_high"] == [0.5, 1.5]
+    assert network.features == list(LONGITUDINAL.observation.features)
+    save_checkpoint(tmp_path / "p.pt", network, "two", 5)
+    found = load_checkpoint(tmp_path / "p.pt", LONGITUDINAL)
+    observations = np.zeros((3, 7), np.float32)
+    assert greedy_policy(found.network)(observations).shape == (3, 2)
+
+
+@pytest.mark.parametrize("bounds", [{"max_braking": 2.0}, {"max_acceleration": 2.0}, None])
+def test_another_second_bound_is_refused(tmp_path, bounds):
+    save_checkpoint(tmp_path / "p.pt", make_network(LONGITUDINAL, "damped+idm", [8]), "two", 5)
+    other = load_scenario(LONGITUDINAL, {"action": {"longitudinal": bounds}})
+    with pytest.raises(CheckpointError, match=r"p\.pt: its action bounds are .*-2\.5.* changers"):
+        load_checkpoint(tmp_path / "p.pt", other)
+
+
+def test_a_followers_network_is_the_scenarios(tmp_path):
+    scenario = load_scenario(
+        "paper", {"followers": {"external": {"max_acceleration": 2.25, "max_braking": 4.1}}}
+    )
+    network = make_follower_network(scenario, [8])
+    assert network.features == [feature.name for feature in FOLLOWER_FEATURES]
+    assert network.config["action_low"] == [np.float32(-4.1)]
+    assert network.config["action_high"] == [2.25]
+    assert network.mu_name == "mlp"
+    assert network.hidden_sizes == [8]
+    typical = [[feature.offset + feature.scale for feature in FOLLOWER_FEATURES]]
+    assert network.normalise(torch.tensor(typical)).allclose(torch.ones(1, len(FOLLOWER_FEATURES)))
+    file = tmp_path / "f.pt"
+    save_checkpoint(file, network, "paper", 3)
+    assert load_follower(file, scenario)(np.zeros((5, 9), np.float32)).shape == (5,)
+    with pytest.raises(CheckpointError, match=r"f\.pt: its action bounds"):
+        load_follower(file, PAPER)
+
+
+def test_one_kind_of_agent_is_not_the_other(path, tmp_path):
+    with pytest.raises(CheckpointError, match=r"policy\.pt: its features"):
+        load_follower(path, PAPER)
+    save_checkpoint(tmp_path / "f.pt", make_follower_network(PAPER, [8]), "paper", 3)
+    with pytest.raises(CheckpointError, match=r"f\.pt: its features .* changers of .*'paper'"):
+        load_checkpoint(tmp_path / "f.pt", PAPER)
 
 
 def test_checkpoint_errors_are_value_errors():

@@ -9,15 +9,23 @@ from hydra.errors import ConfigCompositionException
 from omegaconf import OmegaConf
 
 from marl_lanes import LaneChangeEnv, load_scenario
-from marl_lanes.training.config import ConfigError, TrainingConfig, check, register
+from marl_lanes.training.checkpoint import make_network
+from marl_lanes.training.config import (
+    ConfigError,
+    TrainingConfig,
+    check,
+    read_config,
+    register,
+    write_config,
+)
 
 FOLDER = Path(__file__).parents[2] / "agents" / "naf"
-RECIPES = ["fast", "paper"]
+RECIPES = ["fast", "interactive", "paper"]
 
 
 def resolve(*overrides):
     """What hydra makes of a command line."""
-    register()
+    register("training_schema", TrainingConfig)
     with initialize_config_dir(str(FOLDER), version_base="1.3"):
         return compose("config", list(overrides))
 
@@ -66,7 +74,13 @@ def test_the_recipes_overrides_fit_the_scenario(recipe):
     # Collecting never waits for an episode's end, the evaluation has one.
     assert env.scenario.num_agents is None
     assert env.scenario.horizon is None
-    assert load_scenario(config.scenario).num_agents == 10
+    assert load_scenario(config.scenario).num_agents is not None
+    make_network(env.scenario, config.network.mu)
+
+
+def test_the_scenario_may_be_another_than_the_recipes():
+    config = typed("recipe=interactive", "scenario=paper", "network.mu=paper")
+    assert (config.scenario, config.network.mu) == ("paper", "paper")
 
 
 def test_the_paper_recipe_has_the_papers_numbers():
@@ -86,6 +100,7 @@ def test_the_paper_recipe_has_the_papers_numbers():
         ("loss.gamma=0.5", "loss.gamma", 0.5),
         ("loss.gamma=1", "loss.gamma", 1.0),
         ("seed=0", "seed", 0),
+        ("initial_checkpoint=a/b.pt", "initial_checkpoint", "a/b.pt"),
         ("network.mu=damped", "network.mu", "damped"),
         ("network.hidden_sizes=[3]", "network.hidden_sizes", [3]),
         ("optimizer.max_gradient_norm=null", "optimizer.max_gradient_norm", None),
@@ -146,6 +161,17 @@ def test_what_is_out_of_range_is_named(name, value):
         check(config)
     assert isinstance(caught.value, ValueError)
     assert str(value) in str(caught.value)
+
+
+def test_a_resumed_run_has_its_own_config(tmp_path):
+    config = typed("seed=3", "output=elsewhere", "+training_overrides.road.num_lanes=5")
+    write_config(tmp_path / "run" / "config.yaml", config)
+    found = read_config(resolve(f"resume={tmp_path / 'run'}", "seed=4"), TrainingConfig)
+    path = str(tmp_path / "run")
+    assert found == dataclasses.replace(config, output=path, resume=path)
+    with pytest.raises(ConfigError, match=r"resume = .*absent.*must be a run folder"):
+        read_config(resolve(f"resume={tmp_path / 'absent'}"), TrainingConfig)
+    assert read_config(resolve("seed=3"), TrainingConfig).seed == 3
 
 
 def test_every_number_has_a_range():

@@ -11,7 +11,8 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate
 
 from marl_lanes import LaneChangeEnv, NAFLoss
-from marl_lanes.training.checkpoint import CheckpointError, make_network
+from marl_lanes.naf.checkpoint import CheckpointError
+from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.config import ConfigError
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, Table

@@ -1,4 +1,4 @@
-"""From batches of slots to the rows of steering agents."""
+"""From batches of slots to the rows of acting agents."""
 
 import pytest
 import torch
@@ -116,6 +116,58 @@ def test_turning_back_to_waiting_bootstraps(batch):
     assert (rows["next", "observation"][returned, 2] - 3.75).abs().max() < 0.3
 
 
+def test_where_waiting_agents_act_their_rows_are_kept():
+    """With a longitudinal action the rows are all those of live agents."""
+    overrides = BUSY | {"action": {"longitudinal": {}}}
+    env = LaneChangeEnv("adversarial", 2, overrides=overrides, seed=3)
+    steps = env.rollout(300, break_when_any_done=False)
+    rows = live_transitions(steps)
+    mask = steps["changers", "mask"]
+    assert torch.equal(rows["observation"], steps["changers", "observation"][mask])
+    assert torch.equal(rows["next", "reward"], steps["next", "changers", "reward"][mask])
+    assert rows["action"].shape == (int(mask.sum()), 2)
+    assert (rows["observation"][:, PHASE] == Phase.WAITING).any()
+
+
+def two_groups(acting, after, done):
+    """A batch of one road and slot: time steps in which its follower does or does not act."""
+    size = [1, len(acting), 1]
+    flags = {key: torch.tensor(done).reshape(*size, 1) for key in ("done", "terminated")}
+
+    def group(mask, **leaves):
+        observation = torch.arange(float(len(acting))).reshape(*size, 1)
+        mask = torch.tensor(mask).reshape(size)
+        return TensorDict({"observation": observation, "acting": mask, **leaves}, size)
+
+    following = group(
+        after,
+        reward=torch.ones(*size, 1),
+        episode_reward=torch.full((*size, 1), 7.0),
+        truncated=torch.zeros(*size, 1, dtype=torch.bool),
+        **flags,
+    )
+    outcome = torch.full(size, int(Outcome.MISSED))
+    changers = TensorDict({"outcome": outcome}, size)
+    now = {"followers": group(acting, action=torch.zeros(*size, 1))}
+    next_ = TensorDict({"followers": following, "changers": changers}, size[:2])
+    return TensorDict({**now, "next": next_}, size[:2])
+
+
+def test_a_followers_rows_end_with_its_pairing():
+    acting = [False, True, True, False, True, True]
+    after = [True, True, False, True, True, False]
+    batch = two_groups(acting, after, done=[False] * 5 + [True])
+    rows = live_transitions(batch, "followers")
+    assert rows["observation"].flatten().tolist() == [1.0, 2.0, 4.0, 5.0]
+    for key in ("done", "terminated"):
+        assert rows["next", key].flatten().tolist() == [False, True, False, True], key
+        assert rows["next", key].shape == (4, 1)
+    assert not rows["next", "truncated"].any()
+    returns, outcomes = finished_maneuvers(batch, "followers")
+    assert (returns.tolist(), outcomes.tolist()) == ([7.0], [Outcome.MISSED])
+    assert not batch["next", "followers", "terminated"][0, 2].any(), "the batch is as it was"
+
+
 def test_any_leading_shape_will_do(batch):
     whole = live_transitions(batch)
     flat = live_transitions(batch.reshape(-1))
@@ -154,24 +206,24 @@ class Spy(nn.Module):
         return observation[:, :1] * 0.01 + 0.1
 
 
-def test_the_policy_is_evaluated_for_steering_agents_alone(batch):
+def test_the_policy_is_evaluated_for_acting_agents_alone(batch):
     spy = Spy()
     steps = batch.exclude(("changers", "action"), "next")
     out = LivePolicy(spy, 1)(steps.clone())
-    engaged = batch["changers", "engaged"]
+    acting = batch["changers", "acting"]
     action = out["changers", "action"]
-    assert spy.calls == [int(engaged.sum())]
-    assert action.shape == (*engaged.shape, 1)
-    assert (action[~engaged] == 0.0).all()
+    assert spy.calls == [int(acting.sum())]
+    assert action.shape == (*acting.shape, 1)
+    assert (action[~acting] == 0.0).all()
     speed = batch["changers", "observation"][..., :1]
-    assert torch.equal(action[engaged], (speed * 0.01 + 0.1)[engaged])
+    assert torch.equal(action[acting], (speed * 0.01 + 0.1)[acting])
     assert not action.requires_grad
 
 
-def test_the_policy_with_no_one_to_steer():
+def test_the_policy_with_no_one_to_act():
     spy = Spy()
     group = TensorDict(
-        {"observation": torch.ones(3, 2, 4), "engaged": torch.zeros(3, 2, dtype=torch.bool)}, [3, 2]
+        {"observation": torch.ones(3, 2, 4), "acting": torch.zeros(3, 2, dtype=torch.bool)}, [3, 2]
     )
     out = LivePolicy(spy, 1)(TensorDict({"changers": group}, [3]))
     assert spy.calls == [0]
@@ -200,9 +252,9 @@ def test_the_policy_drives_a_collector():
     batches = [data.clone() for data in collector]
     collector.shutdown()
     assert [data.shape for data in batches] == [(3, 40)] * 3
-    total = sum(int(data["changers", "engaged"].sum()) for data in batches)
+    total = sum(int(data["changers", "acting"].sum()) for data in batches)
     assert sum(spy.calls) == total > 0
     whole = torch.cat(batches, 1)
-    engaged = whole["changers", "engaged"]
-    assert (whole["changers", "action"][~engaged] == 0.0).all()
-    assert (whole["changers", "action"][engaged] != 0.0).all()
+    acting = whole["changers", "acting"]
+    assert (whole["changers", "action"][~acting] == 0.0).all()
+    assert (whole["changers", "action"][acting] != 0.0).all()

@@ -1,0 +1,333 @@
+"""Train followers against a lane changer, and the changer against them in turn.
+
+python agents/adversary/train.py changer=CHECKPOINT [scenario=NAME]
+    [objective=adversarial|cooperative] [rounds=K] [seed=N] [output=DIR] [resume=RUN]
+    [any field of the config]
+
+With rounds=0 one follower learns against the changer. With rounds=K followers and changer
+take turns, K times; the changer learns against all followers so far.
+"""
+
+import shutil
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import hydra
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from omegaconf import MISSING, DictConfig
+from tqdm import tqdm
+
+from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
+from marl_lanes.envs.batched import FOLLOWERS
+from marl_lanes.envs.followers import load_follower
+from marl_lanes.evaluation.crossplay import crossplay
+from marl_lanes.evaluation.metrics import evaluate
+from marl_lanes.evaluation.rollout import Policy, check_episodes, run_maneuvers
+from marl_lanes.evaluation.tables import format_crossplay
+from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
+from marl_lanes.scenario.followers import LEARNED, SCRIPTED
+from marl_lanes.traffic.external import FollowerPolicy
+from marl_lanes.training.checkpoint import load_checkpoint, make_follower_network
+from marl_lanes.training.config import (
+    CONFIG_FILE,
+    ConfigError,
+    EvaluationConfig,
+    LearnerConfig,
+    ProgramConfig,
+    check_learner,
+    check_program,
+    check_widths,
+    read_config,
+    register,
+    require,
+    write_config,
+)
+from marl_lanes.training.files import write_atomically, write_json
+from marl_lanes.training.learner import EvaluateModel, Learner
+from marl_lanes.training.run_folder import FINAL_MODEL, STATE_FILE, TIMES_FILE, check_empty
+from marl_lanes.training.transitions import LivePolicy
+
+MODEL = f"checkpoints/{FINAL_MODEL}"
+"""The trained policy in the folder of a phase."""
+OBJECTIVES = ("adversarial", "cooperative")
+EVALUATED = (
+    "completion_rate",
+    "abort_rate",
+    "missed_rate",
+    "collision_rate",
+    "max_follower_braking",
+)
+"""The changer's metrics in the table of the saved models."""
+
+
+@dataclass
+class FollowerConfig(LearnerConfig):
+    """How a follower learns."""
+
+    hidden_sizes: list[int] = MISSING
+    """Widths of the hidden layers of every network."""
+
+
+@dataclass
+class AdversaryConfig(ProgramConfig):
+    """Everything that defines a run."""
+
+    changer: str | None = None
+    """The checkpoint of the changer to learn against."""
+    objective: str = MISSING
+    """What the followers are paid for: adversarial or cooperative."""
+    rounds: int = MISSING
+    """How often follower and changer take turns; 0: one follower learns, the changer does not."""
+    scripted: dict[str, float] = field(default_factory=dict)
+    """Shares of scripted dispositions while the changer learns; the followers share the rest."""
+    follower: FollowerConfig = field(default_factory=FollowerConfig)
+    hardening: LearnerConfig = field(default_factory=LearnerConfig)
+    """How the changer learns."""
+
+
+register("adversary_schema", AdversaryConfig)
+
+
+@hydra.main(version_base="1.3", config_path=".", config_name="config")
+def main(given: DictConfig) -> None:
+    """Train, evaluate, report."""
+    try:
+        config = read_config(given, AdversaryConfig)
+        check(config)
+        torch.set_num_threads(config.num_threads)
+        run = Run(config)
+        result = run.take_turns() if config.rounds else run.train_one_follower()
+    except (ConfigError, ScenarioError, CheckpointError, OSError) as error:
+        sys.exit(f"error: {error}")
+    if result is None:
+        print(f"interrupted; continue with resume={config.output}")
+        return
+    print(f"run folder: {config.output}\n\n{format_crossplay(result)}")
+
+
+def check(config: AdversaryConfig) -> None:
+    """Refuse values outside their ranges, before anything is built or written."""
+    check_program(config)
+    if config.changer is None:
+        raise ConfigError("changer = None: must be the path of a changer's checkpoint")
+    require(config.objective in OBJECTIVES, "objective", config.objective, ", ".join(OBJECTIVES))
+    require(config.rounds >= 0, "rounds", config.rounds, "at least 0")
+    for name, share in config.scripted.items():
+        require(name in SCRIPTED, "scripted", name, f"among {', '.join(SCRIPTED)}")
+        require(0.0 <= share < inf, f"scripted.{name}", share, "at least 0 and finite")
+    total = sum(config.scripted.values())
+    require(total < 1.0, "scripted", config.scripted, "below 1 in all")
+    check_widths("follower.hidden_sizes", config.follower.hidden_sizes)
+    check_learner(config.follower, "follower.")
+    check_learner(config.hardening, "hardening.")
+
+
+class Run:
+    """The phases of a run, each in a folder from which it can go on, and what comes of them.
+
+    Raises:
+        ScenarioError, CheckpointError, ConfigError: scenario and changer cannot be, or do not fit.
+    """
+
+    def __init__(self, config: AdversaryConfig) -> None:
+        self.config = config
+        self.output = Path(config.output)
+        self.changer = Path(str(config.changer))
+        objective = {"followers": {"learned": {"objective": config.objective}}}
+        self.scenario = load_scenario(config.scenario, objective)
+        check_episodes(self.scenario)
+        self.training_scenario = load_scenario(self.scenario, config.training_overrides)
+        if self.training_scenario.command.probability == 0.0:
+            raise ConfigError("training_overrides: command.probability = 0: must be above 0")
+        load_checkpoint(self.changer, self.scenario)
+        if config.resume is None:
+            check_empty(self.output)
+
+    def train_one_follower(self) -> dict[str, Any] | None:
+        """A follower, and its comparison with the scripted ones; None when interrupted."""
+        if not self._train_follower(self.output, self.changer, phase=0):
+            return None
+        checkpoint = str(self.output / MODEL)
+        learned = {"mix": {LEARNED: 1.0}, "learned": {"checkpoint": checkpoint}}
+        result = self._compare(
+            {"changer": self.changer},
+            {LEARNED: learned, **_alone(SCRIPTED)},
+            self.config.follower.evaluation,
+        )
+        write_json(self.output / "evaluation.json", result)
+        return result
+
+    def take_turns(self) -> dict[str, Any] | None:
+        """The changer hardened against its followers, and its report; None when interrupted."""
+        changer, pool = self.changer, dict[str, FollowerPolicy]()
+        for turn in range(self.config.rounds):
+            folder = self.output / f"round_{turn + 1}"
+            name = f"pool_{turn + 1}"
+            if not self._train_follower(folder / "follower", changer, phase=2 * turn):
+                return None
+            follower = folder / "follower" / MODEL
+            _copy(follower, self.output / "pool" / f"{name}.pt")
+            pool[name] = load_follower(follower, self.scenario)
+            if not self._train_changer(folder / "changer", changer, pool, phase=2 * turn + 1):
+                return None
+            changer = folder / "changer" / MODEL
+        _copy(changer, self.output / "changer.pt")
+        result = self._compare(
+            {"unhardened": self.changer, "hardened": changer},
+            _alone([*SCRIPTED, *pool]),
+            self.config.hardening.evaluation,
+            pool,
+        )
+        write_json(self.output / "report.json", result)
+        return result
+
+    def _train_follower(self, folder: Path, changer: Path, *, phase: int) -> bool:
+        """Train a follower of its own against the frozen changer."""
+        config = self.config.follower
+        driver = load_checkpoint(changer, self.scenario).network
+        scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
+
+        def make() -> Learner:
+            seed = self._seed(phase)
+            env = LaneChangeEnv(
+                self.training_scenario,
+                config.collector.num_envs,
+                seed=seed,
+                learned_followers=True,
+            )
+            return Learner(
+                config,
+                env,
+                make_follower_network(self.scenario, config.hidden_sizes),
+                group=FOLLOWERS,
+                others=[LivePolicy(driver.policy().module, driver.action_dim)],
+                evaluated=EVALUATED,
+            )
+
+        def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
+            policies = {LEARNED: follower_policy(network)}
+            return _evaluate(scenario, greedy_policy(driver), policies, config.evaluation)
+
+        return self._train(folder, make, evaluate_model)
+
+    def _train_changer(
+        self, folder: Path, changer: Path, pool: Mapping[str, FollowerPolicy], *, phase: int
+    ) -> bool:
+        """Train the changer on among the frozen followers of the pool and the scripted ones."""
+        config = self.config.hardening
+        scripted = self.config.scripted
+        share = (1.0 - sum(scripted.values())) / len(pool)
+        mix = {"followers": {"mix": dict.fromkeys(pool, share) | scripted}}
+        scenario = load_scenario(self.scenario, mix)
+
+        def make() -> Learner:
+            seed = self._seed(phase)
+            env = LaneChangeEnv(
+                self.training_scenario,
+                config.collector.num_envs,
+                seed=seed,
+                overrides=mix,
+                follower_policies=pool,
+            )
+            network = load_checkpoint(changer, self.scenario).network
+            return Learner(config, env, network, evaluated=EVALUATED)
+
+        def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
+            return _evaluate(scenario, greedy_policy(network), pool, config.evaluation)
+
+        return self._train(folder, make, evaluate_model)
+
+    def _train(
+        self, folder: Path, make: Callable[[], Learner], evaluate_model: EvaluateModel
+    ) -> bool:
+        """Bring the phase to its end, from where it is; False when interrupted."""
+        if (folder / TIMES_FILE).exists():
+            return True
+        learner = make()
+        if (folder / STATE_FILE).exists():
+            learner.resume(folder)
+        else:
+            learner.begin(folder)
+        if not (self.output / CONFIG_FILE).exists():
+            write_config(self.output / CONFIG_FILE, self.config)
+        print(f"{folder}:", file=sys.stderr)
+        is_complete = learner.train(evaluate_model)
+        learner.close()
+        return is_complete
+
+    def _seed(self, phase: int) -> int:
+        """Seed torch for the phase, whatever was drawn before it; also the seed of its traffic."""
+        seed = int(np.random.SeedSequence([self.config.seed, phase]).generate_state(1)[0])
+        torch.manual_seed(seed)
+        return seed
+
+    def _compare(
+        self,
+        changers: Mapping[str, Path],
+        followers: Mapping[str, Mapping[str, Any]],
+        settings: EvaluationConfig,
+        policies: Mapping[str, FollowerPolicy] | None = None,
+    ) -> dict[str, Any]:
+        """Every changer against every kind of follower."""
+        networks = {
+            label: load_checkpoint(path, self.scenario).network for label, path in changers.items()
+        }
+        number = settings.final_num_maneuvers
+        total = number * len(changers) * len(followers)
+        with tqdm(total=total, unit="maneuver", desc="evaluating") as bar:
+            result = crossplay(
+                {name: (self.scenario, greedy_policy(one)) for name, one in networks.items()},
+                followers,
+                number,
+                seed=settings.seed,
+                follower_policies=policies,
+                progress=lambda count: bar.update(count - bar.n),
+            )
+        checkpoints = {label: str(path) for label, path in changers.items()}
+        return {"objective": self.config.objective, "checkpoints": checkpoints, **result}
+
+
+def follower_policy(network: NAFNetwork) -> FollowerPolicy:
+    """The network's greedy action as a driver: observations (N, G) to accelerations (N,)."""
+    act = greedy_policy(network)
+
+    def drive(observations: NDArray[np.float32]) -> NDArray[np.float64]:
+        return act(observations)[:, 0]
+
+    return drive
+
+
+def _evaluate(
+    scenario: Scenario,
+    policy: Policy,
+    policies: Mapping[str, FollowerPolicy],
+    settings: EvaluationConfig,
+) -> dict[str, Any]:
+    """What the changer achieves among the followers, in short."""
+    maneuvers = run_maneuvers(
+        scenario,
+        policy,
+        settings.num_maneuvers,
+        seed=settings.seed,
+        follower_policies=policies,
+    )
+    return evaluate(maneuvers, scenario, with_optimum=False)
+
+
+def _alone(dispositions: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Overrides of the followers by label: each disposition, and no other."""
+    return {name: {"mix": {name: 1.0}} for name in dispositions}
+
+
+def _copy(source: Path, target: Path) -> None:
+    write_atomically(target, lambda temporary: shutil.copyfile(source, temporary))
+
+
+if __name__ == "__main__":
+    main()

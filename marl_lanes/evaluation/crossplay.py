@@ -1,0 +1,158 @@
+"""Cross-play: every lane changer against every kind of follower, on the same seeded traffic."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from marl_lanes.envs.followers import find_policies
+from marl_lanes.evaluation.intervals import CONFIDENCE, NUM_RESAMPLES, Estimate, estimate_mean
+from marl_lanes.evaluation.metrics import AVERAGES, measure, summarise
+from marl_lanes.evaluation.rollout import Maneuver, Policy, check_episodes, run_maneuvers
+from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.traffic.external import FollowerPolicy, choose_policies
+
+RATES = (
+    "completion_rate",
+    "abort_rate",
+    "missed_rate",
+    "abort_or_miss_rate",
+    "collision_rate",
+    "off_road_rate",
+    "s_critical_violation_rate",
+)
+MEANS = ("mean_time_to_completion", "mean_max_follower_braking_all")
+LARGEST = ("max_follower_braking_all",)
+"""The statistics of a pair, metrics of docs/metrics.md; the largest have no interval."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A lane changer and a kind of follower, and the maneuvers that they drove."""
+
+    changer: str
+    followers: str
+    scenario: Scenario
+    maneuvers: list[Maneuver]
+
+
+def crossplay(
+    changers: Mapping[str, tuple[Scenario, Policy]],
+    followers: Mapping[str, Mapping[str, Any]],
+    num_maneuvers: int,
+    *,
+    seed: int = 0,
+    follower_policies: Mapping[str, FollowerPolicy] | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> dict[str, Any]:
+    """Drive every changer among every kind of follower and estimate what comes of it.
+
+    Every pair is driven on the changer's scenario with its section ``followers`` overridden, from
+    the same seed: changers of one scenario meet the same vehicles until they act differently. A
+    policy that keeps a state, as a random one does, carries it on from pair to pair.
+
+    Args:
+        changers: label to scenario and policy, observations (N, F) to actions (N, D).
+        followers: label to what replaces fields of ``scenario.followers``, for example
+            ``{"mix": {"adversarial": 1.0}}`` or
+            ``{"mix": {"learned": 1.0}, "learned": {"checkpoint": "follower.pt"}}``.
+        num_maneuvers: of each pair, >= 1.
+        seed: of the traffic and of the resamples.
+        follower_policies: by disposition, before those that are registered or saved.
+        progress: called after every step with the number of maneuvers driven so far, of
+            ``len(changers) * len(followers) * num_maneuvers``.
+
+    Returns:
+        ``num_maneuvers``, ``seed``, ``confidence``, ``num_resamples``, ``changers`` (label to
+        scenario name), ``followers`` (label to override) and ``pairs``: a list, by changer, then
+        by follower, of ``changer``, ``scenario``, ``followers`` (both labels), ``num_maneuvers``,
+        ``num_roads`` and ``statistics``, which maps each of RATES, MEANS and LARGEST to ``value``,
+        ``low`` and ``high``. It holds only what JSON can.
+
+    Raises:
+        ScenarioError: a scenario cannot be, its episodes have no end, or a follower's policy is
+            not known. Like every error about the arguments, before anything is driven.
+        CheckpointError: a follower's checkpoint cannot be read or does not fit.
+        ValueError: another argument is out of range.
+    """
+    pairs = [
+        {
+            "changer": pair.changer,
+            "scenario": pair.scenario.name,
+            "followers": pair.followers,
+            "num_maneuvers": len(pair.maneuvers),
+            "num_roads": len({maneuver.env for maneuver in pair.maneuvers}),
+            "statistics": estimate(pair.maneuvers, pair.scenario, seed=seed),
+        }
+        for pair in drive_pairs(
+            changers,
+            followers,
+            num_maneuvers,
+            seed=seed,
+            follower_policies=follower_policies,
+            progress=progress,
+        )
+    ]
+    return {
+        "num_maneuvers": num_maneuvers,
+        "seed": seed,
+        "confidence": CONFIDENCE,
+        "num_resamples": NUM_RESAMPLES,
+        "changers": {label: scenario.name for label, (scenario, _) in changers.items()},
+        "followers": {label: dict(override) for label, override in followers.items()},
+        "pairs": pairs,
+    }
+
+
+def drive_pairs(
+    changers: Mapping[str, tuple[Scenario, Policy]],
+    followers: Mapping[str, Mapping[str, Any]],
+    num_maneuvers: int,
+    *,
+    seed: int = 0,
+    follower_policies: Mapping[str, FollowerPolicy] | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Iterator[Pair]:
+    """The maneuvers of every pair, one after the other; arguments and errors as of ``crossplay``.
+
+    Every scenario and follower is looked at before the first one drives.
+    """
+    if num_maneuvers < 1:
+        raise ValueError(f"num_maneuvers = {num_maneuvers}: must be at least 1")
+    for name, given in (("changers", changers), ("followers", followers)):
+        if not given:
+            raise ValueError(f"{name}: must hold at least one")
+    prepared = []
+    for changer, (scenario, policy) in changers.items():
+        for label, override in followers.items():
+            loaded = load_scenario(scenario, {"followers": override})
+            check_episodes(loaded)
+            drivers = find_policies(loaded, follower_policies)
+            choose_policies(loaded, drivers, has_learner=False)  # refuses one without a policy
+            prepared.append((changer, label, loaded, policy, drivers))
+    for number, (changer, label, loaded, policy, drivers) in enumerate(prepared):
+
+        def show(count: int, before: int = number * num_maneuvers) -> None:
+            if progress is not None:
+                progress(before + min(count, num_maneuvers))
+
+        maneuvers = run_maneuvers(
+            loaded, policy, num_maneuvers, seed=seed, follower_policies=drivers, progress=show
+        )
+        yield Pair(changer, label, loaded, maneuvers)
+
+
+def estimate(
+    maneuvers: Sequence[Maneuver], scenario: Scenario, *, seed: int = 0
+) -> dict[str, dict[str, float | None]]:
+    """The statistics of RATES, MEANS and LARGEST, each as ``value``, ``low`` and ``high``."""
+    measured = [measure(maneuver, scenario, with_optimum=False) for maneuver in maneuvers]
+    roads = [maneuver.env for maneuver in maneuvers]
+    summary = summarise(measured)
+    found = {
+        key: estimate_mean(
+            [AVERAGES[key](row) for row in measured], roads, is_rate=key in RATES, seed=seed
+        )
+        for key in (*RATES, *MEANS)
+    }
+    found |= {key: Estimate(summary[key], None, None) for key in LARGEST}
+    return {key: asdict(value) for key, value in found.items()}

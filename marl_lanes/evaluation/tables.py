@@ -1,0 +1,117 @@
+"""Results as text for a terminal of 120 columns."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+WIDTH = 120
+"""Columns of a terminal."""
+
+CROSSPLAY_ROWS = (
+    ("completion_rate", "completed [%]", 100.0, 1),
+    ("abort_rate", "aborted [%]", 100.0, 1),
+    ("missed_rate", "missed [%]", 100.0, 1),
+    ("abort_or_miss_rate", "aborted or missed [%]", 100.0, 1),
+    ("collision_rate", "collided [%]", 100.0, 1),
+    ("off_road_rate", "off the road [%]", 100.0, 1),
+    ("mean_time_to_completion", "time to complete [s]", 1.0, 2),
+    ("mean_max_follower_braking_all", "follower's braking, mean [m/s^2]", 1.0, 2),
+    ("max_follower_braking_all", "follower's braking, largest", 1.0, 2),
+    ("s_critical_violation_rate", "S_critical violated [%]", 100.0, 1),
+)
+"""Key, title, factor and decimals of the rows of a cross-play table."""
+
+_NOT_DEFINED = "-"
+
+
+def format_estimate(
+    estimate: Mapping[str, float | None], factor: float = 1.0, decimals: int = 2
+) -> str:
+    """``value [low, high]``; the value alone where there is no interval, a dash without one."""
+    value, low, high = (estimate[name] for name in ("value", "low", "high"))
+    if value is None:
+        return _NOT_DEFINED
+    text = f"{factor * value:.{decimals}f}"
+    if low is None or high is None:
+        return text
+    return f"{text} [{factor * low:.{decimals}f}, {factor * high:.{decimals}f}]"
+
+
+def format_crossplay(result: Mapping[str, Any]) -> str:
+    """A row for every statistic and changer, a column for every kind of follower.
+
+    Args:
+        result: of ``crossplay``.
+    """
+    cells = {(pair["changer"], pair["followers"]): pair for pair in result["pairs"]}
+    rows = []
+    for key, title, factor, decimals in CROSSPLAY_ROWS:
+        for number, changer in enumerate(result["changers"]):
+            values = [
+                format_estimate(cells[changer, follower]["statistics"][key], factor, decimals)
+                for follower in result["followers"]
+            ]
+            rows.append(["" if number else title, changer, *values])
+    scenarios = ", ".join(dict.fromkeys(result["changers"].values()))
+    intro = (
+        f"scenario {scenarios}; {result['num_maneuvers']} maneuvers a pair, seed "
+        f"{result['seed']}; value [{100.0 * result['confidence']:g} % interval]"
+    )
+    return intro + "\n\n" + format_table(["", "changer", *result["followers"]], rows, 2)
+
+
+def format_gaps(result: Mapping[str, Any]) -> str:
+    """A row for every kind of follower.
+
+    Args:
+        result: of ``compare_followers``.
+    """
+    rows = [
+        [
+            label,
+            format_estimate(found["entered_rate"], 100.0, 1),
+            format_estimate(found["gap_at_entry"]),
+            format_estimate(found["gap_change"]),
+            format_estimate(found["gap_difference"]),
+        ]
+        for label, found in result["followers"].items()
+    ]
+    intro = (
+        f"scenario {result['scenario']}; {result['num_maneuvers']} maneuvers under each kind, seed "
+        f"{result['seed']}; shown: maneuver {result['maneuver']}\n"
+        f"{result['num_compared']} engagements are the same under every kind, with the follower "
+        f"nearer than {result['near_gap']:g} m; {result['num_entered']} enter the lane under every "
+        "kind\n"
+        f"mean [{100.0 * result['confidence']:g} % interval]"
+    )
+    first = next(iter(result["followers"]))
+    changes = ["since engagement [m]", f"against {first} [m]"]
+    head = ["followers", "entered [%]", "gap at entry [m]", *changes]
+    return intro + "\n\n" + format_table(head, rows, 1)
+
+
+def format_table(head: Sequence[str], rows: Sequence[Sequence[str]], num_labels: int) -> str:
+    """Aligned columns, in as many blocks below each other as the terminal's width asks for.
+
+    Args:
+        head: titles of the columns.
+        rows: each as long as ``head``.
+        num_labels: first columns, which every block repeats.
+    """
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    labels = list(range(num_labels))
+    used = sum(widths[column] + 2 for column in labels)
+    blocks: list[list[int]] = [[]]
+    room = WIDTH - used
+    for column in range(num_labels, len(head)):
+        if blocks[-1] and widths[column] > room:
+            blocks.append([])
+            room = WIDTH - used
+        blocks[-1].append(column)
+        room -= widths[column] + 2
+    lines: list[str] = []
+    for block in blocks:
+        lines += [""] if lines else []
+        for row in (head, *rows):
+            cells = [row[column].ljust(widths[column]) for column in (*labels, *block)]
+            lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)

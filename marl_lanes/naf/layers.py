@@ -1,0 +1,115 @@
+"""What the networks of V, M and mu are made of: the box of actions, and tanh networks."""
+
+import itertools
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+
+class ActionBox(nn.Module):
+    """The box low <= a <= high of admissible actions.
+
+    Args:
+        low: lower bounds, (action_dim,), in action units.
+        high: upper bounds, (action_dim,), each above its lower bound.
+
+    Raises:
+        ValueError: the bounds are not two finite, ordered vectors of one length.
+    """
+
+    low: Tensor
+    high: Tensor
+
+    def __init__(self, low: Sequence[float] | Tensor, high: Sequence[float] | Tensor) -> None:
+        super().__init__()
+        lower, upper = (torch.as_tensor(bound, dtype=torch.float32) for bound in (low, high))
+        if lower.ndim != 1 or lower.shape != upper.shape or not lower.numel():
+            raise ValueError(
+                "action_low and action_high must be vectors of one length, "
+                f"got shapes {tuple(lower.shape)} and {tuple(upper.shape)}"
+            )
+        if not (torch.isfinite(upper - lower) & (lower < upper)).all():
+            raise ValueError(f"need finite action_low < action_high, got {low} and {high}")
+        self.register_buffer("low", lower)
+        self.register_buffer("high", upper)
+
+    @property
+    def half_range(self) -> Tensor:
+        """(high - low) / 2, (action_dim,), in action units."""
+        return (self.high - self.low) / 2
+
+    @property
+    def centre(self) -> Tensor:
+        """(high + low) / 2, (action_dim,), in action units."""
+        return (self.high + self.low) / 2
+
+    def only(self, index: int) -> "ActionBox":
+        """The bounds of one action, a copy."""
+        return ActionBox(self.low[index : index + 1].clone(), self.high[index : index + 1].clone())
+
+    def forward(self, action: Tensor) -> Tensor:
+        """The nearest point of the box, (..., action_dim)."""
+        return action.clamp(self.low, self.high)
+
+
+class Heads(nn.Module):
+    """Tanh networks side by side, whose outputs start near given values, whatever the input.
+
+    They have no weights in common; one batched product a layer evaluates them together, which for
+    networks of this size costs little more than one of them.
+
+    Args:
+        in_features: length of the input.
+        hidden_sizes: widths of the hidden layers of each network.
+        initial: initial outputs, for each network the same number of them.
+    """
+
+    # Small, not zero: with zero weights the hidden layers would get no gradient at first.
+    LAST_GAIN = 0.01
+
+    def __init__(
+        self, in_features: int, hidden_sizes: Sequence[int], initial: Sequence[Sequence[float]]
+    ) -> None:
+        super().__init__()
+        self.initial = [list(values) for values in initial]
+        widths = [in_features, *hidden_sizes, len(self.initial[0])]
+        self.num_layers = len(widths) - 1
+        for layer, (fan_in, fan_out) in enumerate(itertools.pairwise(widths)):
+            weight = torch.empty(len(self.initial), fan_in, fan_out)
+            self.register_parameter(f"weight_{layer}", nn.Parameter(weight))
+            bias = torch.empty(len(self.initial), 1, fan_out)
+            self.register_parameter(f"bias_{layer}", nn.Parameter(bias))
+        self.reset_parameters()
+
+    def layer(self, index: int) -> tuple[Tensor, Tensor]:
+        """Weight (networks, in, out) and bias (networks, 1, out) of a layer."""
+        return getattr(self, f"weight_{index}"), getattr(self, f"bias_{index}")
+
+    @property
+    def last_bias(self) -> Tensor:
+        """Bias of the last layer, (networks, 1, outputs)."""
+        return self.layer(self.num_layers - 1)[1]
+
+    def reset_parameters(self) -> None:
+        """Draws the weights anew and sets the last layer back to the initial outputs."""
+        with torch.no_grad():
+            for index in range(self.num_layers):
+                weight, bias = self.layer(index)
+                bound = weight.shape[1] ** -0.5  # that of nn.Linear
+                weight.uniform_(-bound, bound)
+                bias.uniform_(-bound, bound)
+            weight.mul_(self.LAST_GAIN)
+            bias.copy_(torch.tensor(self.initial).unsqueeze(1))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(..., in_features) to (..., networks * outputs), network by network."""
+        rows = observation.flatten(end_dim=-2) if observation.ndim > 1 else observation[None]
+        hidden = rows.expand(len(self.initial), -1, -1)
+        for index in range(self.num_layers):
+            weight, bias = self.layer(index)
+            hidden = torch.baddbmm(bias, hidden, weight)
+            if index < self.num_layers - 1:
+                hidden = torch.tanh(hidden)
+        width = hidden.shape[0] * hidden.shape[2]
+        return hidden.transpose(0, 1).reshape(*observation.shape[:-1], width)

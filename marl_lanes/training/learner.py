@@ -1,0 +1,292 @@
+"""One group's learning: what it is made of, how far it is, and the loop."""
+
+import signal
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch.nn.utils import clip_grad_norm_
+from torchrl.collectors import Collector
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.modules import AdditiveGaussianModule
+from torchrl.objectives import HardUpdate, SoftUpdate
+from tqdm import tqdm
+
+from marl_lanes.envs.batched import GROUP, LaneChangeEnv
+from marl_lanes.naf.loss import NAFLoss
+from marl_lanes.naf.network import NAFNetwork
+from marl_lanes.training.checkpoint import save_checkpoint
+from marl_lanes.training.config import LearnerConfig
+from marl_lanes.training.files import write_json
+from marl_lanes.training.resume import read_state, restore_state, save_state
+from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, STATE_FILE, RunFolder
+from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
+
+EvaluateModel = Callable[[NAFNetwork], Mapping[str, Any]]
+"""What a network achieves as it is: metrics by name, numbers or None."""
+
+
+class Learner:
+    """A network that learns to drive one group of agents, while the others keep their policies.
+
+    It needs a run folder before it can train: ``begin`` a new one or ``resume`` an old one.
+
+    Args:
+        config: how it learns.
+        env: that it collects in; its state is part of the training state.
+        network: of the group; changed in place. Random numbers are torch's own: seed them before.
+        group: whose network it is.
+        others: policies of other groups, modules that write their actions.
+        evaluated: the metrics in the table of the saved models.
+    """
+
+    run: RunFolder
+
+    def __init__(
+        self,
+        config: LearnerConfig,
+        env: LaneChangeEnv,
+        network: NAFNetwork,
+        *,
+        group: str = GROUP,
+        others: Sequence[TensorDictModuleBase] = (),
+        evaluated: Sequence[str] = EVALUATED,
+    ) -> None:
+        self.config = config
+        self.env = env
+        self.network = network
+        self.group = group
+        self.evaluated = tuple(evaluated)
+        self.loss = NAFLoss(network)
+        self.loss.make_value_estimator(gamma=config.loss.gamma)
+        if config.loss.target_update == "soft":
+            self.target_updater = SoftUpdate(self.loss, tau=config.loss.tau)
+        else:
+            # Its interval counts the calls in between, of which there are none.
+            self.target_updater = HardUpdate(self.loss, value_network_update_interval=0)
+        rates = {
+            network.factor_logits: config.optimizer.learning_rate,
+            network.value: config.optimizer.learning_rate,
+            network.mu: config.optimizer.mu_learning_rate,
+        }
+        self.optimizer = torch.optim.Adam(
+            [{"params": list(part.parameters()), "lr": rate} for part, rate in rates.items()],
+            fused=True,
+        )
+        self.replay = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(config.replay.capacity),
+            batch_size=config.replay.batch_size,
+        )
+        self.noise = AdditiveGaussianModule(
+            spec=env.full_action_spec,
+            action_key=(group, "action"),
+            sigma_init=float(config.exploration.initial_sigma),
+            sigma_end=float(config.exploration.final_sigma),
+        )
+        # Sigma is a share of the half range, whatever the action's unit.
+        self.noise.std = network.box.half_range
+        policy = LivePolicy(network.policy().module, network.action_dim, group)
+        self.collector = Collector(
+            env,
+            TensorDictSequential(*others, policy, self.noise),
+            frames_per_batch=config.collector.num_envs * config.collector.steps_per_batch,
+            total_frames=-1,
+            track_traj_ids=False,
+            auto_register_policy_transforms=False,
+        )
+        self.counters = defaultdict[str, float](float)
+        """transitions, updates, saved (models), and seconds by activity."""
+
+    @property
+    def transitions(self) -> int:
+        """Transitions collected so far."""
+        return int(self.counters["transitions"])
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds by activity."""
+        return {key: round(value, 2) for key, value in self.counters.items() if "_" in key}
+
+    def begin(self, folder: Path) -> None:
+        """Start in a new or empty folder.
+
+        Raises:
+            ConfigError: it holds something.
+        """
+        self.run = RunFolder(folder, evaluated=self.evaluated)
+        self.save()
+
+    def resume(self, folder: Path) -> None:
+        """Go on from the training state in the folder.
+
+        Raises:
+            CheckpointError: there is none, or it cannot be read.
+        """
+        content = read_state(folder / STATE_FILE)
+        self.counters.update(content["counters"])
+        restore_state(
+            content, loss=self.loss, optimizer=self.optimizer, replay=self.replay, env=self.env
+        )
+        # It has looked at its environment when it was built; let it look again.
+        self.collector.reset()
+        self.run = RunFolder(folder, until=self.transitions, evaluated=self.evaluated)
+
+    def save(self) -> None:
+        """Write the training state."""
+        save_state(
+            self.run.state,
+            counters=dict(self.counters),
+            loss=self.loss,
+            optimizer=self.optimizer,
+            replay=self.replay,
+            env=self.env,
+        )
+
+    @contextmanager
+    def timed(self, activity: str) -> Iterator[None]:
+        """Add the seconds that the block takes to the activity's."""
+        start = time.perf_counter()
+        yield
+        self.counters[f"seconds_{activity}"] += time.perf_counter() - start
+
+    def anneal(self) -> None:
+        """Set the exploration noise and the stage for the transitions to come."""
+        exploration = self.config.exploration
+        share = min(1.0, self.transitions / max(1, exploration.annealing_transitions))
+        sigma = exploration.initial_sigma
+        self.noise.sigma.fill_(sigma + share * (exploration.final_sigma - sigma))
+        is_stage_one = self.transitions < self.config.optimizer.pretraining_transitions
+        self.network.mu_frozen = is_stage_one
+        self.loss.value_network.mu_frozen = is_stage_one
+
+    def update(self) -> float:
+        """One gradient step on a batch from the replay buffer, and the target's."""
+        self.optimizer.zero_grad(set_to_none=True)
+        loss = self.loss(self.replay.sample())["loss"]
+        loss.backward()
+        if self.config.optimizer.max_gradient_norm is not None:
+            clip_grad_norm_(self.network.parameters(), self.config.optimizer.max_gradient_norm)
+        self.optimizer.step()
+        self.counters["updates"] += 1
+        if int(self.counters["updates"]) % self.config.loss.target_interval == 0:
+            self.target_updater.step()
+        return float(loss.detach())
+
+    def learn(self, batch: TensorDictBase) -> None:
+        """Store a collected batch, make the updates that are due, log both."""
+        with self.timed("storing"):
+            transitions = live_transitions(batch, self.group)
+            if len(transitions):
+                self.replay.extend(transitions)
+            self.counters["transitions"] += len(transitions)
+        losses = []
+        with self.timed("learning"):
+            config = self.config
+            start = config.replay.warmup_transitions
+            due = max(0, self.transitions - start) / config.optimizer.transitions_per_update
+            while self.transitions >= start and self.counters["updates"] < int(due):
+                losses.append(self.update())
+        with self.timed("logging"):
+            self.log(batch, losses)
+
+    def log(self, batch: TensorDictBase, losses: list[float]) -> None:
+        """One row of metrics, one for every maneuver that ended."""
+        returns, outcomes = finished_maneuvers(batch, self.group)
+        row = {
+            "updates": int(self.counters["updates"]),
+            "stage": 1 if self.network.mu_frozen else 2,
+            "loss": float(np.mean(losses)) if losses else "",
+            "sigma": float(self.noise.sigma),
+            "num_ended": len(returns),
+            "mean_return": float(returns.mean()) if len(returns) else "",
+        }
+        self.run.metrics.append((self.transitions, *row.values()))
+        self.run.maneuvers.append(
+            *(
+                (self.transitions, *pair)
+                for pair in zip(returns.tolist(), outcomes.tolist(), strict=True)
+            )
+        )
+        self.run.log("train", row, self.transitions)
+
+    def save_model(self, name: str, evaluate_model: EvaluateModel) -> None:
+        """Write the policy and what it achieves."""
+        path = self.run.checkpoints / name
+        save_checkpoint(path, self.network, self.env.scenario.name, self.transitions)
+        summary = evaluate_model(self.network)
+        row = [summary[key] for key in self.evaluated]
+        self.run.evaluations.append(
+            (self.transitions, name, *("" if value is None else value for value in row))
+        )
+        self.run.log("saved_model", summary, self.transitions)
+        self.counters["saved"] += 1
+
+    def train(self, evaluate_model: EvaluateModel) -> bool:
+        """Collect and learn until all transitions are made; write the final model.
+
+        Ctrl-C (or SIGTERM) ends it after the batch at hand. Either way the training state is
+        written.
+
+        Args:
+            evaluate_model: of every saved model.
+
+        Returns:
+            whether the training is over; False when it was interrupted.
+        """
+        total = self.config.collector.total_transitions
+        interval = self.config.evaluation.save_interval
+        batches = iter(self.collector)
+        with (
+            _interruptions() as interrupted,
+            tqdm(
+                total=total, initial=self.transitions, unit="tr", unit_scale=True, desc="training"
+            ) as bar,
+        ):
+            while self.transitions < total and not interrupted:
+                before = self.transitions
+                self.anneal()
+                with self.timed("collecting"):
+                    batch = cast("TensorDictBase", next(batches))
+                self.learn(batch)
+                if self.transitions // interval > before // interval:
+                    with self.timed("evaluating"):
+                        self.save_model(f"step_{self.transitions:09d}.pt", evaluate_model)
+                        self.save()
+                bar.update(self.transitions - before)
+        self.save()
+        if self.transitions < total:
+            return False
+        with self.timed("evaluating"):
+            self.save_model(FINAL_MODEL, evaluate_model)
+        write_json(self.run.times, self.seconds)
+        return True
+
+    def close(self) -> None:
+        """Release the collector and the logs."""
+        self.collector.shutdown()
+        self.run.close()
+
+
+@contextmanager
+def _interruptions() -> Iterator[list[int]]:
+    """Let Ctrl-C (and a polite kill) finish the iteration at hand; a second one stops at once."""
+    received: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        if received:
+            signal.default_int_handler(number, frame)
+        received.append(number)
+
+    previous = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

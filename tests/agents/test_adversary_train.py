@@ -1,0 +1,356 @@
+"""The training program of followers: one follower, turns with the changer, and what it refuses."""
+
+import contextlib
+import csv
+import dataclasses
+import importlib.util
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from marl_lanes import Simulator, load_scenario
+from marl_lanes.envs.followers import find_policies, load_follower
+from marl_lanes.naf.checkpoint import CheckpointError, read_checkpoint
+from marl_lanes.training.checkpoint import (
+    load_checkpoint,
+    make_follower_network,
+    make_network,
+    save_checkpoint,
+)
+from marl_lanes.training.config import ConfigError, read_config
+
+torch.set_num_threads(1)
+
+PROGRAM = Path(__file__).parents[2] / "agents" / "adversary" / "train.py"
+SCENARIO = """
+name: busy
+num_agents: 4
+horizon: 60.0
+num_slots: 4
+warmup: [20.0, 30.0]
+road: {length: 400.0}
+departures: {interval: [1.5, 3.0]}
+command: {probability: 1.0}
+"""
+SECTION = [
+    "collector.num_envs=16",
+    "collector.steps_per_batch=5",
+    "collector.total_transitions=120",
+    "replay.warmup_transitions=16",
+    "replay.batch_size=8",
+    "optimizer.transitions_per_update=4",
+    "optimizer.pretraining_transitions=60",
+    "evaluation.save_interval=50",
+    "evaluation.num_maneuvers=2",
+    "evaluation.final_num_maneuvers=4",
+]
+TINY = [
+    "scenario=busy.yaml",
+    "changer=changer.pt",
+    "output=run",
+    "training_overrides.warmup=[20.0,30.0]",
+    "training_overrides.num_slots=4",
+    "follower.hidden_sizes=[8]",
+    *(f"{section}.{option}" for section in ("follower", "hardening") for option in SECTION),
+]
+STATISTICS = {
+    "completion_rate",
+    "abort_rate",
+    "missed_rate",
+    "collision_rate",
+    "max_follower_braking_all",
+}
+PAPER = load_scenario("paper")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+)
+
+
+def prepare(folder):
+    """A scenario, and a changer that finds its lane without training."""
+    (folder / "busy.yaml").write_text(SCENARIO, encoding="utf-8")
+    torch.manual_seed(0)
+    save_checkpoint(folder / "changer.pt", make_network(PAPER, "damped", [8]), "busy", 0)
+    return folder
+
+
+def rows(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def weights(path):
+    return torch.load(path, weights_only=True)["weights"]
+
+
+def is_same(one, other):
+    return all(torch.equal(value, other[key]) for key, value in one.items())
+
+
+def pairs(path):
+    result = json.loads(path.read_text(encoding="utf-8"))
+    return {(pair["changer"], pair["followers"]): pair["statistics"] for pair in result["pairs"]}
+
+
+@pytest.fixture(scope="module")
+def program():
+    """The program as a module, in this process."""
+    spec = importlib.util.spec_from_file_location("adversary_train", PROGRAM)
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses look their module up.
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def compose_config(*options):
+    """What hydra makes of a command line."""
+    with initialize_config_dir(str(PROGRAM.parent), version_base="1.3"):
+        return compose("config", list(options))
+
+
+def run_here(program, folder, *options):
+    """Run the program in this process; what it prints."""
+    out = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out):
+        program.main(compose_config(*TINY, *options))
+    return folder / "run", out.getvalue()
+
+
+@pytest.fixture(scope="module")
+def single(program, tmp_path_factory):
+    """One follower against the changer as it is."""
+    return run_here(program, prepare(tmp_path_factory.mktemp("single")))
+
+
+@pytest.fixture(scope="module")
+def turns(program, tmp_path_factory):
+    """Two rounds without interruption."""
+    return run_here(program, prepare(tmp_path_factory.mktemp("turns")), "rounds=2")
+
+
+PHASE_FILES = {
+    "metrics.csv",
+    "maneuvers.csv",
+    "evaluations.csv",
+    "training.json",
+    "resume.pt",
+    "checkpoints",
+    "tensorboard",
+}
+
+
+def test_a_followers_run_folder_is_complete(single):
+    run, _ = single
+    assert names(run) == {*PHASE_FILES, "config.yaml", "evaluation.json"}
+    metrics = rows(run / "metrics.csv")
+    assert int(metrics[-1]["transitions"]) >= 120
+    assert {row["stage"] for row in metrics} == {"1", "2"}
+    assert len(rows(run / "maneuvers.csv")) == sum(int(row["num_ended"]) for row in metrics)
+    saved = rows(run / "evaluations.csv")
+    assert len(saved) >= 3
+    assert {row["checkpoint"] for row in saved} == names(run / "checkpoints")
+    assert {"completion_rate", "abort_rate", "collision_rate"} < set(saved[0])
+    assert OmegaConf.load(run / "config.yaml").follower.hidden_sizes == [8]
+
+
+def test_a_follower_is_compared_with_the_scripted_ones(single):
+    run, out = single
+    found = pairs(run / "evaluation.json")
+    followers = ["learned", "cooperative", "neutral", "adversarial"]
+    assert list(found) == [("changer", name) for name in followers]
+    assert all(set(statistics) >= STATISTICS for statistics in found.values())
+    assert all(name in out for name in followers)
+
+
+def test_the_follower_has_learned_and_drives(single, monkeypatch):
+    run, _ = single
+    first = min((run / "checkpoints").glob("step_*.pt"))
+    final = run / "checkpoints" / "final.pt"
+    assert read_checkpoint(final).scenario == "busy"
+    assert not is_same(weights(first), weights(final))
+    monkeypatch.chdir(run)
+    learned = {"mix": {"learned": 1.0}, "learned": {"checkpoint": "checkpoints/final.pt"}}
+    scenario = load_scenario("dense", {"followers": learned})
+    simulator = Simulator(scenario, 2, follower_policies=find_policies(scenario))
+    simulator.reset()
+    for _ in range(5):
+        simulator.step(torch.zeros(2, scenario.num_slots, 1).numpy())
+
+
+def test_turns_give_a_pool_a_hardened_changer_and_a_report(turns):
+    run, out = turns
+    assert names(run) == {"config.yaml", "round_1", "round_2", "pool", "changer.pt", "report.json"}
+    for number in (1, 2):
+        assert names(run / f"round_{number}") == {"follower", "changer"}
+        for phase in ("follower", "changer"):
+            assert names(run / f"round_{number}" / phase) == PHASE_FILES
+        follower = run / "pool" / f"pool_{number}.pt"
+        trained = run / f"round_{number}" / "follower" / "checkpoints" / "final.pt"
+        assert follower.read_bytes() == trained.read_bytes()
+        load_follower(follower, PAPER)
+    changers = [run / f"round_{number}" / "changer" / "checkpoints" / "final.pt" for number in "12"]
+    assert (run / "changer.pt").read_bytes() == changers[1].read_bytes()
+    load_checkpoint(run / "changer.pt", PAPER)
+    stages = [run.parent / "changer.pt", *changers]
+    assert not is_same(weights(stages[0]), weights(stages[1]))
+    assert not is_same(weights(stages[1]), weights(stages[2]))
+    found = pairs(run / "report.json")
+    kinds = ("cooperative", "neutral", "adversarial", "pool_1", "pool_2")
+    assert list(found) == [(one, kind) for one in ("unhardened", "hardened") for kind in kinds]
+    assert "hardened" in out
+
+
+def test_the_changer_goes_on_from_the_one_before(turns):
+    """Stage one keeps mu: the first saved model of a phase has that of the phase's beginning."""
+    run, _ = turns
+    before = [run.parent / "changer.pt", run / "round_1" / "changer" / "checkpoints" / "final.pt"]
+    for number, path in enumerate(before, 1):
+        first = min((run / f"round_{number}" / "changer" / "checkpoints").glob("step_*.pt"))
+        assert torch.load(first, weights_only=True)["transitions"] < 120
+        one, other = weights(path), weights(first)
+        assert not is_same(one, other)
+        assert is_same({key: one[key] for key in one if key.startswith("mu.")}, other)
+
+
+def test_followers_of_two_rounds_are_not_the_same(turns):
+    run, _ = turns
+    one, other = (weights(run / "pool" / f"pool_{number}.pt") for number in (1, 2))
+    assert not is_same(one, other)
+
+
+def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, turns, tmp_path):
+    reference, _ = turns
+    process = subprocess.Popen(
+        [sys.executable, str(PROGRAM), *TINY, "rounds=2"],
+        cwd=prepare(tmp_path),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        start_new_session=True,
+    )
+    run = tmp_path / "run"
+    path = run / "round_1" / "changer" / "metrics.csv"
+    deadline = time.monotonic() + 150
+    while time.monotonic() < deadline and process.poll() is None:
+        if path.exists() and len(path.read_bytes().splitlines()) > 1:
+            break
+        time.sleep(0.002)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=100)
+    assert process.returncode == 0, err[-3000:]
+    assert "Traceback" not in err
+    assert "resume=run" in out
+    assert not (run / "round_2").exists()
+    stamp = (run / "round_1" / "follower" / "resume.pt").stat().st_mtime_ns
+    with contextlib.chdir(tmp_path):
+        program.main(compose_config("resume=run"))
+    assert (run / "round_1" / "follower" / "resume.pt").stat().st_mtime_ns == stamp
+    tables = sorted(path.relative_to(reference) for path in reference.rglob("*.csv"))
+    assert len(tables) == 12
+    for name in [*tables, Path("report.json")]:
+        assert (run / name).read_bytes() == (reference / name).read_bytes(), name
+    for name in ("changer.pt", "pool/pool_1.pt", "pool/pool_2.pt"):
+        assert is_same(weights(run / name), weights(reference / name)), name
+
+
+def test_an_existing_run_is_refused(program, single, monkeypatch):
+    run, _ = single
+    monkeypatch.chdir(run.parent)
+    before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
+    for options in ([], ["rounds=2"]):
+        with pytest.raises(ConfigError, match="output = 'run': must be a new or empty folder"):
+            program.Run(given(program, *options))
+    assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
+
+
+def given(program, *options):
+    """The configuration of the tiny budget and the options, checked."""
+    config = read_config(compose_config(*TINY, *options), program.AdversaryConfig)
+    program.check(config)
+    return config
+
+
+def test_the_defaults_are_complete_and_in_range(program):
+    config = OmegaConf.to_object(compose_config("changer=changer.pt"))
+    program.check(config)
+    assert isinstance(config, program.AdversaryConfig)
+    assert config.rounds == 0
+    assert "???" not in str(dataclasses.asdict(config))
+    load_scenario(config.scenario, config.training_overrides)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["changer=null"], "changer = None: must be the path"),
+        (["objective=hostile"], "objective = 'hostile': must be adversarial, cooperative"),
+        (["rounds=-1"], "rounds = -1: must be at least 0"),
+        (["seed=-1"], "seed = -1: must be at least 0"),
+        (["+scripted.learned=0.1"], "scripted = 'learned': must be among cooperative"),
+        (["scripted.adversarial=-0.1"], "scripted.adversarial = -0.1: must be at least 0"),
+        (["scripted.adversarial=nan"], "scripted.adversarial = nan: must be at least 0"),
+        (["scripted.adversarial=0.9"], "scripted = .*: must be below 1 in all"),
+        (["follower.hidden_sizes=[]"], r"follower.hidden_sizes = \[\]: must be widths"),
+        (["follower.loss.gamma=2"], "follower.loss.gamma = 2.0: must be between 0 and 1"),
+        (["hardening.collector.num_envs=0"], "hardening.collector.num_envs = 0: must be"),
+        (["hardening.evaluation.seed=-1"], "hardening.evaluation.seed = -1: must be"),
+        (["+training_overrides.road.lanes=3"], "road.lanes: unknown key"),
+        (["training_overrides.command.probability=0"], "command.probability = 0: must be above"),
+        (["scenario=nope"], "scenario 'nope': no such scenario"),
+        (["resume=absent"], "resume = 'absent': must be a run folder"),
+        (["changer=gone.pt"], "gone.pt: cannot be read"),
+    ],
+)
+def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(prepare(tmp_path))
+    with pytest.raises(ValueError, match=message) as caught:
+        program.Run(given(program, *options))
+    assert len(str(caught.value).splitlines()) == 1
+    assert names(tmp_path) == {"busy.yaml", "changer.pt"}
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (make_follower_network(PAPER, [8]), "its features are .* the changers of scenario 'busy'"),
+        (
+            make_network(load_scenario("paper", {"observation": {"features": ["speed"]}}), "mlp"),
+            r"its features are \['speed'\], the changers of scenario 'busy' have \['speed', ",
+        ),
+        (
+            make_network(load_scenario("paper", {"action": {"max_yaw_acceleration": 0.4}}), "mlp"),
+            "its action bounds are .*0.4.*, the changers of scenario 'busy' have .*0.5",
+        ),
+    ],
+    ids=["follower", "features", "bounds"],
+)
+def test_a_changer_that_does_not_fit_is_refused(program, tmp_path, monkeypatch, network, message):
+    monkeypatch.chdir(prepare(tmp_path))
+    save_checkpoint(tmp_path / "other.pt", network, "other", 0)
+    with pytest.raises(CheckpointError, match=r"other\.pt: " + message):
+        program.Run(given(program, "changer=other.pt"))
+
+
+def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch):
+    monkeypatch.chdir(prepare(tmp_path))
+    with pytest.raises(SystemExit) as caught:
+        program.main(compose_config(*TINY, "objective=hostile"))
+    message = "error: objective = 'hostile': must be adversarial, cooperative"
+    assert caught.value.code == message
+    assert names(tmp_path) == {"busy.yaml", "changer.pt"}

@@ -1,0 +1,193 @@
+"""One group's learning: its noise, its rows, and that it goes on as if it had not stopped."""
+
+import csv
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from tensordict import TensorDict
+
+from marl_lanes import LaneChangeEnv
+from marl_lanes.naf.checkpoint import read_checkpoint
+from marl_lanes.training.checkpoint import make_follower_network, make_network
+from marl_lanes.training.config import ConfigError, TrainingConfig, register
+from marl_lanes.training.learner import Learner
+from marl_lanes.training.transitions import LivePolicy
+
+torch.set_num_threads(1)
+FOLDER = Path(__file__).parents[2] / "agents" / "naf"
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+)
+BUSY = {
+    "num_agents": None,
+    "horizon": None,
+    "departures": {"interval": [1.5, 3.0]},
+    "command": {"probability": 1.0},
+    "num_slots": 4,
+    "road": {"length": 400.0},
+    "warmup": [20.0, 30.0],
+}
+TWO_ACTIONS = BUSY | {
+    "action": {"longitudinal": {"max_acceleration": 1.0, "max_braking": 5.0}},
+}
+TINY = [
+    "network.hidden_sizes=[8]",
+    "collector.num_envs=8",
+    "collector.steps_per_batch=10",
+    "collector.total_transitions=300",
+    "replay.warmup_transitions=32",
+    "replay.batch_size=16",
+    "optimizer.transitions_per_update=4",
+    "optimizer.pretraining_transitions=100",
+    "exploration.annealing_transitions=300",
+    "evaluation.save_interval=120",
+]
+
+
+def tiny(*options):
+    register("training_schema", TrainingConfig)
+    with initialize_config_dir(str(FOLDER), version_base="1.3"):
+        return OmegaConf.to_object(compose("config", [*TINY, *options]))
+
+
+def changers(*options, overrides=BUSY, mu="damped", seed=0):
+    env = LaneChangeEnv("paper", 8, overrides=overrides, seed=seed)
+    torch.manual_seed(seed)
+    return Learner(tiny(*options), env, make_network(env.scenario, mu, [8]))
+
+
+def followers(*options, seed=0):
+    env = LaneChangeEnv("paper", 8, overrides=BUSY, seed=seed, learned_followers=True)
+    torch.manual_seed(77)
+    driver = make_network(env.scenario, "damped", [8])
+    torch.manual_seed(seed)
+    return Learner(
+        tiny(*options),
+        env,
+        make_follower_network(env.scenario, [8]),
+        group="followers",
+        others=[LivePolicy(driver.policy().module, 1)],
+        evaluated=("quality", "nothing"),
+    )
+
+
+class Evaluation:
+    """Counts the models that it is given; what it says of them depends on their weights."""
+
+    def __init__(self):
+        self.count = 0
+
+    def __call__(self, network):
+        self.count += 1
+        quality = sum(value.sum().item() for value in network.state_dict().values())
+        names = ("mean_return", "completion_rate", "mean_num_steps", "quality")
+        return dict.fromkeys(names, quality) | {"nothing": None}
+
+
+def rows(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def tables(folder):
+    names = ("metrics.csv", "maneuvers.csv", "evaluations.csv")
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+@pytest.mark.parametrize("make", [changers, followers])
+def test_it_learns_from_its_beginning_to_the_final_model(tmp_path, make):
+    learner = make()
+    before = {key: value.clone() for key, value in learner.network.state_dict().items()}
+    learner.begin(tmp_path / "run")
+    evaluation = Evaluation()
+    assert learner.train(evaluation)
+    learner.close()
+    metrics = rows(tmp_path / "run" / "metrics.csv")
+    assert int(metrics[-1]["transitions"]) == learner.transitions >= 300
+    assert [row["stage"] for row in metrics] == sorted(row["stage"] for row in metrics)
+    assert {row["stage"] for row in metrics} == {"1", "2"}
+    saved = rows(tmp_path / "run" / "evaluations.csv")
+    assert list(saved[0])[2:] == list(learner.evaluated)
+    assert len(saved) == evaluation.count >= 3
+    final = read_checkpoint(tmp_path / "run" / "checkpoints" / "final.pt")
+    assert (final.scenario, final.transitions) == ("paper", learner.transitions)
+    for key, value in learner.network.state_dict().items():
+        assert torch.equal(final.network.state_dict()[key], value), key
+    for part in ("mu.", "value.", "factor_logits."):
+        keys = [key for key in before if key.startswith(part)]
+        state = learner.network.state_dict()
+        assert any(not torch.equal(before[key], state[key]) for key in keys), part
+    with pytest.raises(ConfigError, match="must be a new or empty folder"):
+        make().begin(tmp_path / "run")
+
+
+@pytest.mark.parametrize("make", [changers, followers])
+def test_a_state_from_the_beginning_goes_on_identically(tmp_path, make):
+    one = make()
+    one.begin(tmp_path / "one")
+    shutil.copytree(tmp_path / "one", tmp_path / "other")
+    assert one.train(Evaluation())
+    other = make(seed=5)
+    other.resume(tmp_path / "other")
+    assert other.train(Evaluation())
+    for learner in (one, other):
+        learner.close()
+    assert tables(tmp_path / "one") == tables(tmp_path / "other")
+    for key, value in one.loss.state_dict().items():
+        assert torch.equal(other.loss.state_dict()[key], value), key
+
+
+def test_two_runs_of_a_seed_are_the_same(tmp_path):
+    runs = {}
+    for name, seed in (("one", 3), ("same", 3), ("other", 4)):
+        learner = changers(overrides=TWO_ACTIONS, mu="mlp", seed=seed)
+        learner.begin(tmp_path / name)
+        assert learner.train(Evaluation())
+        learner.close()
+        runs[name] = tables(tmp_path / name)
+    assert runs["one"] == runs["same"]
+    assert runs["one"] != runs["other"]
+
+
+def sampled_noise(learner, group, num_actions):
+    """Many actions after the noise, all zero before it."""
+    action = torch.zeros(8, 4, num_actions)
+    steps = [TensorDict({group: {"action": action.clone()}}, [8]) for _ in range(400)]
+    return torch.stack([learner.noise(step)[group, "action"] for step in steps])
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.1])
+def test_the_noise_is_a_share_of_each_half_range(sigma):
+    options = (f"exploration.initial_sigma={sigma}", "exploration.final_sigma=0.01")
+    learner = changers(*options, overrides=TWO_ACTIONS, mu="mlp")
+    noise = sampled_noise(learner, "changers", 2)
+    # Bounds -0.5 to 0.5 and -5 to 1: half ranges 0.5 and 3.
+    assert noise[..., 0].std().item() == pytest.approx(sigma * 0.5, rel=0.03)
+    assert noise[..., 1].std().item() == pytest.approx(sigma * 3.0, rel=0.03)
+    assert noise.mean((0, 1, 2)).abs().max() < sigma * 0.1
+    learner.collector.shutdown()
+    learner = followers(*options)
+    noise = sampled_noise(learner, "followers", 1)
+    assert noise.std().item() == pytest.approx(sigma * 3.0, rel=0.03)
+    learner.collector.shutdown()
+
+
+def test_the_others_are_left_alone(tmp_path):
+    learner = followers()
+    driver = learner.collector.policy[0]
+    before = {key: value.clone() for key, value in driver.state_dict().items()}
+    learner.begin(tmp_path / "run")
+    assert learner.train(Evaluation())
+    learner.close()
+    assert before
+    assert all(torch.equal(before[key], value) for key, value in driver.state_dict().items())
+    steps = learner.env.rollout(60, learner.collector.policy, break_when_any_done=False)
+    acting = steps["changers", "acting"]
+    wanted = driver.policy(steps["changers", "observation"][acting])
+    # Without noise.
+    assert steps["changers", "action"][acting].allclose(wanted)
+    assert acting.any()
