@@ -66,9 +66,14 @@ def make_simulator() -> Contestant:
     return _batched(lambda: simulator.step(), simulator)
 
 
-def make_batched() -> Contestant:
-    """LaneChangeEnv.step with zero actions."""
-    env = LaneChangeEnv("paper", NUM_ENVS, overrides={"num_agents": None, "horizon": None})
+def make_batched(*, learned_followers: bool = False) -> Contestant:
+    """LaneChangeEnv.step with zero actions, of the changers alone or of the followers, too."""
+    env = LaneChangeEnv(
+        "paper",
+        NUM_ENVS,
+        overrides={"num_agents": None, "horizon": None},
+        learned_followers=learned_followers,
+    )
     data = env.reset()
     data.update(env.full_action_spec.zero())
     return _batched(lambda: env.step(data), env.simulator)
@@ -153,6 +158,7 @@ def main() -> None:
         "parallel_env, one road": make_pettingzoo(),
         f"Simulator, {NUM_ENVS} roads": make_simulator(),
         f"LaneChangeEnv, {NUM_ENVS} roads": make_batched(),
+        "  with learned followers": make_batched(learned_followers=True),
     }
     if importlib.util.find_spec("highway_env") is not None:
         contestants[f"highway-env, {HIGHWAY_VEHICLES} vehicles"] = make_highway_env()

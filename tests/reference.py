@@ -1,7 +1,8 @@
 """A slow oracle of one time step, in plain Python: the design page and the paper, nothing shared.
 
-``Road.of(simulator)`` takes one road's snapshot; ``road.step(actions)`` advances it. Only the
-enumerations and the state's names come from the package: every formula is written again here.
+``Road.of(simulator)`` takes one road's snapshot; ``road.step(actions, follower_actions)`` advances
+it. Only the enumerations and the state's names come from the package: every formula is written
+again here.
 """
 
 import math
@@ -13,6 +14,8 @@ from marl_lanes.traffic.state import CollisionKind, Disposition, Outcome, Phase
 
 KEEPING_MIN_SPEED = 1.0
 CONTACT_GAP = 0.01
+SCRIPTED = ["cooperative", "neutral", "adversarial"]
+FOLLOWER_TERMS = "delay", "abort", "collision", "discomfort", "braking"
 
 
 @dataclass(eq=False)
@@ -32,7 +35,7 @@ class Car:
     command_position: float
     lane: int
     profile: str
-    disposition: Disposition
+    disposition: int
     agent: "Agent | None" = None
     changer: "Car | None" = None
     is_off_road: bool = False
@@ -55,6 +58,7 @@ class Agent:
     outcome: Outcome = Outcome.UNFINISHED
     num_aborts: int = 0
     engaged_steps: int = 0
+    car_following: float = 0.0
     terms: dict = field(default_factory=dict)
     reward: float = 0.0
     episode_reward: float = 0.0
@@ -66,12 +70,25 @@ class Agent:
         return self.phase in (Phase.ENGAGED, Phase.ABORTING)
 
 
+@dataclass(eq=False)
+class Follower:
+    """What belongs to the external driver behind a live command's changer."""
+
+    car: Car | None = None
+    terms: dict = field(default_factory=lambda: dict.fromkeys(FOLLOWER_TERMS, 0.0))
+    reward: float = 0.0
+    episode_reward: float = 0.0
+    observation: list = field(default_factory=list)
+
+
 class Road:
     """One road of a scenario: ``cars`` from the front to the rear."""
 
     def __init__(self, scenario):
         self.scenario = scenario
         self.cars, self.agents, self.collisions, self.counts = [], {}, [], {}
+        self.followers = {}
+        self.external_names = [name for name in scenario.followers.mix if name not in SCRIPTED]
         self.known_lanes = {}
 
     @classmethod
@@ -98,7 +115,7 @@ class Road:
                 **{name: float(row[name]) for name in floats},
                 lane=int(row["lane"]),
                 profile=names[row["profile"]],
-                disposition=Disposition(int(row["disposition"])),
+                disposition=int(row["disposition"]),
             )
             by_slot[slot] = car
             road.cars.append(car)
@@ -116,12 +133,16 @@ class Road:
             car.agent.episode_reward = float(row["episode_reward"])
             follower = by_slot.get(int(row["target_follower"]))
             car.agent.neighbors["target_follower"] = follower
+            behind = state.followers[env, slot]
+            driver = by_slot.get(int(behind["vehicle"]))
+            total = float(behind["episode_reward"])
+            road.followers[slot] = Follower(driver, episode_reward=total)
         return road
 
-    def step(self, actions):
-        """One time step; ``actions`` one yaw acceleration for each agent slot."""
-        self.agents = {s: a for s, a in self.agents.items() if a.outcome == Outcome.UNFINISHED}
-        for car, acceleration in [(car, self.longitudinal(car)) for car in self.cars]:
+    def step(self, actions, follower_actions):
+        """One time step; for each agent slot its action, and the acceleration of its follower."""
+        driven = [self.drive(car, actions, follower_actions) for car in self.cars]
+        for car, acceleration in zip(self.cars, driven, strict=True):
             car.acceleration = acceleration
         for car in self.cars:
             self.move(car, actions)
@@ -136,6 +157,8 @@ class Road:
         for slot in sorted(self.agents):
             if self.agents[slot].outcome == Outcome.UNFINISHED:
                 self.renew(self.agents[slot])
+        if self.external_names:
+            self.pair()
         self.finish()
 
     # Geometry
@@ -248,6 +271,64 @@ class Road:
             wanted = min(wanted, yielding if is_body_in else max(yielding, -gentle.max_braking))
         return max(wanted, -self.scenario.vehicle.max_braking)
 
+    def drive(self, car, actions, follower_actions):
+        """Car following, unless an agent's second action or a follower's action stands."""
+        following, second = self.longitudinal(car), self.scenario.action.longitudinal
+        external = self.scenario.followers.external
+        wanted = following
+        if car.agent is not None and second is not None:
+            car.agent.car_following = following
+            wanted = self.within(car, actions[car.agent.slot][1], second)
+            wanted = min(wanted, self.guard(car, second.max_acceleration))
+        for slot, follower in self.followers.items():
+            if follower.car is car:
+                wanted = self.within(car, follower_actions[slot], external)
+                if external.is_guarded:
+                    wanted = min(wanted, self.guard(car, external.max_acceleration))
+        return max(wanted, -self.scenario.vehicle.max_braking)
+
+    def within(self, car, wanted, limits):
+        """The bounds of an action; it speeds nobody up beyond the speed limit."""
+        wanted = min(max(wanted, -limits.max_braking), limits.max_acceleration)
+        return min(wanted, max(0.0, (limits.max_speed - car.speed) / self.scenario.time_step))
+
+    def guard(self, car, a_m):
+        """a_m (1 - (s*/s)^2), the smallest over the leaders, with the gap rule's numbers."""
+        rule, allowed = self.scenario.gap, [a_m]
+        fronts = [
+            self.ahead(car, lambda other, lane=lane: lane in self.lanes_of(other))
+            for lane in self.lanes_of(car)
+        ]
+        if car.agent is not None and car.agent.phase == Phase.ENGAGED:
+            fronts += self.leaders_beyond(car)
+        for front in fronts:
+            if front is not None:
+                dynamic = car.speed * (car.speed - front.speed)
+                dynamic /= 2.0 * math.sqrt(a_m * rule.max_braking)
+                desired = rule.minimum_gap + max(0.0, rule.time_gap * car.speed + dynamic)
+                share = desired / max(self.gap(car, front), CONTACT_GAP)
+                allowed.append(a_m * (1.0 - share**2))
+        return min(allowed)
+
+    def would_follow(self, agent):
+        """Car following of an agent's car as it stands, toward the neighbors of the agent."""
+        car, around = agent.car, agent.neighbors
+        profile = self.scenario.drivers.profiles[car.profile]
+        style = {"v0": car.desired_speed, "a_m": profile.max_acceleration}
+        style |= {"headway": profile.time_headway, "scale_a_m": profile.max_acceleration}
+        leaders = [None]
+        if agent.origin in self.lanes_of(car):
+            leaders.append(around["leader"])
+        if agent.target in self.lanes_of(car) or agent.phase == Phase.ENGAGED:
+            leaders.append(around["target_leader"])
+        wanted = min(self.follow(car, front, profile, **style) for front in leaders)
+        if agent.phase == Phase.WAITING:
+            gentle, beyond = -profile.comfortable_braking, (None, around["target_leader"])
+            aligning = min(self.follow(car, front, profile, **style) for front in beyond)
+            is_beside = self.is_beside(car, around["target_follower"])
+            wanted = min(wanted, gentle if is_beside else max(aligning, gentle))
+        return max(wanted, -self.scenario.vehicle.max_braking)
+
     def leaders_beyond(self, car):
         """Ahead of a commanded car, in or engaged toward its target lane; None among them."""
         if car.agent is None:
@@ -274,7 +355,7 @@ class Road:
         scenario, turn_rate = self.scenario, self.turn_rate(car)
         if car.agent is not None and car.agent.is_steering:
             bound = scenario.action.max_yaw_acceleration
-            action = min(max(actions[car.agent.slot], -bound), bound)
+            action = min(max(actions[car.agent.slot][0], -bound), bound)
             car.yaw_acceleration = car.agent.direction * action
         else:
             pole, bound = scenario.lane_keeping.pole, scenario.lane_keeping.max_yaw_acceleration
@@ -368,6 +449,11 @@ class Road:
         has_failed = outcome in (Outcome.COLLISION, Outcome.OFF_ROAD)
         agent.terms = dict.fromkeys(("acceleration", "yaw_rate", "deviation"), 0.0)
         agent.terms["failure"] = -weights.failure_penalty if has_failed else 0.0
+        agent.terms["delay"] = -weights.delay_weight * self.scenario.time_step
+        agent.terms["longitudinal"] = 0.0
+        if self.scenario.action.longitudinal is not None:
+            departure = car.acceleration - agent.car_following
+            agent.terms["longitudinal"] = -weights.longitudinal_weight * departure**2
         if agent.is_steering:
             agent.engaged_steps += 1
             turning = car.yaw_rate - self.turn_rate(car)
@@ -418,7 +504,8 @@ class Road:
                 if term > 1.0 or self.gap(car, front) <= 0.0:
                     continue
             car.desired_speed = self.random.uniform(*scenario.departures.desired_speed)
-            shares = {d: scenario.followers.mix.get(d.name.lower(), 0.0) for d in Disposition}
+            names = [*SCRIPTED, *self.external_names]
+            shares = {code: scenario.followers.mix.get(x, 0.0) for code, x in enumerate(names)}
             car.disposition = self.random.choose(shares)
             car.command_position = self.random.uniform(*scenario.command.position)
             self.cars.append(car)
@@ -487,6 +574,59 @@ class Road:
             if other is None or agent.car.position < other.position:
                 follower.changer = agent.car
 
+    def pair(self):
+        """Pay who was paired in this step; then who is behind whom, and what he sees."""
+        before, self.followers = self.followers, {}
+        for slot, agent in self.agents.items():
+            follower = self.followers[slot] = before.get(slot, Follower())
+            if follower.car is not None:
+                self.pay(follower, agent)
+            driver = agent.neighbors["target_follower"]
+            is_engaged = agent.phase == Phase.ENGAGED and agent.outcome == Outcome.UNFINISHED
+            is_external = driver is not None and driver.disposition >= Disposition.EXTERNAL
+            is_paired = is_engaged and is_external and driver.changer is agent.car
+            follower.car = driver if is_paired and driver.agent is None else None
+            follower.observation = [0.0] * 9 if driver is None else self.seen_behind(agent, driver)
+
+    def pay(self, follower, agent):
+        """The five terms of a driver that was paired with a changer in this step."""
+        weights, acceleration = self.scenario.followers.learned.reward, follower.car.acceleration
+        is_in_lane = agent.target in self.lanes_of(agent.car)
+        braking = max(0.0, -acceleration - weights.hard_braking)
+        delay = weights.delay_weight * self.scenario.time_step
+        follower.terms = {
+            "delay": 0.0 if is_in_lane else delay,
+            "abort": weights.abort_weight if agent.phase == Phase.ABORTING else 0.0,
+            "collision": -weights.collision_penalty if follower.car.is_hit else 0.0,
+            "discomfort": -weights.discomfort_weight * acceleration**2,
+            "braking": -weights.braking_weight * braking,
+        }
+        follower.reward = sum(follower.terms.values())
+        follower.episode_reward += follower.reward
+
+    def seen_behind(self, agent, driver):
+        """What the target lane's follower of a changer sees, column by column."""
+        changer, leader = agent.car, agent.neighbors["target_leader"]
+        reach, phase = self.scenario.observation.sensor_range, agent.phase
+        gap, relative_speed, deviation = reach, 0.0, self.deviation(agent)
+        if leader is not None:
+            gap, relative_speed = self.gap(driver, leader), leader.speed - driver.speed
+        if agent.outcome != Outcome.UNFINISHED:
+            # The command is over: what is left is the way to the target lane.
+            phase = Phase.ABSENT
+            deviation = agent.direction * (self.centre(agent.target) - changer.lateral_position)
+        return [
+            driver.speed,
+            driver.acceleration,
+            min(self.gap(driver, changer), reach),
+            changer.speed - driver.speed,
+            deviation,
+            agent.direction * changer.speed * math.sin(changer.yaw),
+            min(gap, reach),
+            relative_speed,
+            float(phase),
+        ]
+
     def find_neighbors(self, agent):
         for prefix, lane in (("", agent.origin), ("target_", agent.target)):
             is_there = lambda car, lane=lane: self.is_in(car, lane)  # noqa: E731
@@ -506,6 +646,8 @@ class Road:
         seen["curvature"] = sign * self.curvature(car.position)
         seen["phase"] = float(agent.phase)
         seen["time"] = (self.counts["step"] - agent.born) * self.scenario.time_step
+        seen["car_following_acceleration"] = self.would_follow(agent)
+        seen["distance_to_end"] = self.scenario.road.length - car.position
         reach = self.scenario.observation.sensor_range
         for name, other in agent.neighbors.items():
             seen[f"{name}_gap"], seen[f"{name}_relative_speed"] = reach, 0.0

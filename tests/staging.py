@@ -2,14 +2,22 @@
 
 import math
 
+import numpy as np
 from reference import Car, Road
 
 from marl_lanes.traffic.state import Disposition, Outcome, Phase
 
 
 def damped_actions(simulator, noise=0.0, generator=None):
-    """(E, A, 1) yaw accelerations that complete the changes, crudely and, if asked, noisily."""
-    actions = [[[0.0] for _ in range(simulator.num_slots)] for _ in range(simulator.num_envs)]
+    """(E, A, D) actions that complete the changes, crudely and, if asked, noisily.
+
+    A second action is what car following wanted in the step before or, if asked, anything.
+    """
+    actions = np.zeros((*simulator.agents.shape, simulator.num_actions))
+    if simulator.num_actions == 2:
+        actions[..., 1] = simulator.agents["car_following"]
+        if generator is not None:
+            actions[..., 1] = generator.uniform(-4.0, 4.0, simulator.agents.shape)
     width = simulator.scenario.road.lane_width
     for env, slot in zip(*simulator.is_engaged.nonzero(), strict=True):
         agent = simulator.agents[env, slot]
@@ -20,7 +28,7 @@ def damped_actions(simulator, noise=0.0, generator=None):
         steering = error / max(car["speed"], 1.0) - 3.0 * (car["yaw"] + car["yaw_rate"])
         if generator is not None:
             steering += noise * generator.uniform(-1.0, 1.0)
-        actions[env][slot][0] = float(agent["direction"] * steering)
+        actions[env, slot, 0] = agent["direction"] * steering
     return actions
 
 
@@ -35,6 +43,7 @@ def stage(simulator, *cars, env=0):
     simulator.agents[env]["vehicle"] = -1
     simulator.agents[env]["phase"] = Phase.ABSENT
     simulator.agents[env]["outcome"] = Outcome.UNFINISHED
+    state.followers[env]["vehicle"] = state.followers[env]["policy"] = -1
     state.lanes[env]["next_departure"] = math.inf
     road = simulator.roads[env : env + 1]
     for slot, fields in enumerate(cars):

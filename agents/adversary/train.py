@@ -61,7 +61,7 @@ EVALUATED = (
     "abort_rate",
     "missed_rate",
     "collision_rate",
-    "max_follower_braking",
+    "mean_max_follower_braking_all",
 )
 """The changer's metrics in the table of the saved models."""
 

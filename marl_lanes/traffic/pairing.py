@@ -51,6 +51,8 @@ def pair(vehicles: Any, agents: Any, followers: Any, observations: Any, constant
             continue
         if follower.vehicle == NONE:
             clear_reward(follower)
+            # A new command may have taken the slot in the step that freed it.
+            follower.episode_reward = follower.episode_reward if agent.engaged_steps > 0 else 0.0
         else:
             reward_follower(follower, agent, vehicles, agent.phase == _ABORTING, constants)
         slot = find_driver(agent, vehicles)

@@ -1,1 +1,1 @@
-"""What two learners share: live-transition filter, checkpoint, run folder."""
+"""What learners share: the loop, configuration, checkpoints, run folder, live transitions."""

@@ -336,6 +336,8 @@ def test_a_copy_goes_on_by_itself(duplicate):
 def test_what_cannot_be_is_refused():
     with pytest.raises(ScenarioError, match="scenario 'nowhere': no such scenario"):
         LaneChangeEnv("nowhere")
+    with pytest.raises(ScenarioError, match=r"followers\.mix: 'rude' has no policy; allowed: "):
+        LaneChangeEnv(overrides={"followers": {"mix": {"rude": 1.0}}})
     with pytest.raises(ScenarioError, match="num_slots = 0"):
         LaneChangeEnv(overrides={"num_slots": 0})
     with pytest.raises(ValueError, match="num_envs = 0"):
@@ -358,7 +360,7 @@ def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
         step(twin, torch.zeros(1, 3, 1))
     after = step(env, torch.where(steering, 9.0, float("nan")))
     assert_equal(after, step(twin, torch.where(steering, 0.5, -0.5)))
-    with pytest.raises(ValueError, match=r"actions\[0, \d\] = nan: must be a finite"):
+    with pytest.raises(ValueError, match=r"actions\[0, \d, 0\] = nan: must be a finite"):
         step(env, torch.where(steering, float("nan"), 0.0))
 
 

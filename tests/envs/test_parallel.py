@@ -27,16 +27,20 @@ torch.set_num_threads(1)
 
 BUSY = {"departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
 TERMS = ("reward_acceleration", "reward_yaw_rate", "reward_deviation", "reward_failure")
+TERMS += ("reward_delay", "reward_longitudinal")
 TERMINATING = {Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD}
 LONG = 100_000
 
 
 def steer(observation):
-    """Feedback of the paper's features toward the target lane; it completes most changes."""
-    speed, _, deviation, yaw, yaw_rate, curvature = observation.tolist()
+    """Feedback of the paper's features toward the target lane; it completes most changes.
+
+    Where there are more features, the last but one is what car following would do.
+    """
+    speed, _, deviation, yaw, yaw_rate, curvature, *others = observation.tolist()
     wanted = min(max(0.5 * deviation, -2.0), 2.0) / max(speed, 1.0)
     action = 2.0 * (wanted - yaw) - 2.0 * (yaw_rate - curvature * speed)
-    return np.array([action], np.float32)
+    return np.array([action, *others[-2:-1]], np.float32)
 
 
 def random_policy(seed):
@@ -282,7 +286,9 @@ def test_long_random_rollouts_stay_in_the_spaces(scenario):
         actions = {name: road.action_space(name).sample() for name in road.agents}
         observations = road.step(actions)[0]
     spread = np.ptp(np.stack(rows), axis=0)
-    assert (spread > 0.0).tolist() == [True] * 5 + [bool(road.scenario.road.arcs)]
+    is_curved = bool(road.scenario.road.arcs)
+    features = road.scenario.observation.features
+    assert (spread > 0.0).tolist() == [is_curved or name != "curvature" for name in features]
 
 
 def test_state_shows_every_vehicle_by_decreasing_position():
@@ -318,6 +324,8 @@ def test_what_cannot_be_is_refused():
             form(overrides={"num_agents": None})
         with pytest.raises(ScenarioError, match=r"command\.probability > 0 \(is 0\.0\)"):
             form(overrides={"command": {"probability": 0.0}})
+        with pytest.raises(ScenarioError, match=r"followers\.mix: 'rude' has no policy; allowed: "):
+            form(overrides={"followers": {"mix": {"rude": 1.0}}})
         with pytest.raises(ScenarioError, match="no such scenario"):
             form("nowhere")
     with pytest.raises(ValueError, match="seed = -1"):

@@ -10,17 +10,20 @@ from pydantic import BaseModel
 from staging import damped_actions
 
 from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
+from marl_lanes.scenario import followers as followers_module
 from marl_lanes.scenario import schema as schema_module
 from marl_lanes.traffic.observation import FEATURES
 from marl_lanes.traffic.simulator import Simulator
 
 UNITS = {"m", "m/s or 'x km/h'", "m/s", "m/s^2", "rad/s", "rad/s^2", "s", "1", "count", "section"}
 UNITS |= {"text", "map", "list", "name", "1/(rad/s^2)", "1/(rad/s)"}
+UNITS |= {"1/s", "s^2/m", "s^4/m^2", "bool", "path"}
 
 
 def sections():
     """Every model of the schema."""
-    found = [value for value in vars(schema_module).values() if isinstance(value, type)]
+    named = {**vars(followers_module), **vars(schema_module)}
+    found = [value for value in named.values() if isinstance(value, type)]
     return [value for value in found if issubclass(value, BaseModel) and value is not BaseModel]
 
 
@@ -200,7 +203,9 @@ WRONG = [
     ({"drivers": {"mix": {"normal": 0.0}}}, ["drivers.mix", "sum to more than 0"]),
     ({"drivers": {"mix": {"normal": -1.0}}}, ["drivers.mix.normal = -1.0", "or equal to 0"]),
     ({"drivers": {"mix": {"sporty": 1.0}}}, ["drivers.mix", "sporty", "aggressive", "normal"]),
-    ({"followers": {"mix": {"rude": 1.0}}}, ["followers.mix", "rude", "cooperative"]),
+    ({"followers": {"mix": {"very rude": 1.0}}}, ["followers.mix.very rude"]),
+    ({"followers": {"mix": {"rude": -1.0}}}, ["followers.mix.rude = -1.0", "or equal to 0"]),
+    ({"action": {"longitudinal": {"max_speed": 0.0}}}, ["longitudinal.max_speed = 0.0", "than 0"]),
     ({"departures": {"initial_speed": ["fast", 9.0]}}, ["initial_speed", "'fast'", "'30 km/h'"]),
     ({"departures": {"initial_speed": ["30 mph", 9.0]}}, ["'30 mph'", "'30 km/h'"]),
     (
@@ -242,6 +247,17 @@ def test_what_cannot_be_is_refused_with_field_value_and_what_is_allowed(override
     assert "\n" not in message
     for part in parts:
         assert part in message
+
+
+@pytest.mark.parametrize("name", ["rude", "learned"])
+def test_a_disposition_without_a_policy_is_refused_when_the_traffic_is_built(name):
+    scenario = load_scenario("paper", {"followers": {"mix": {"neutral": 1.0, name: 1.0}}})
+    assert scenario.followers.external_names == (name,)
+    with pytest.raises(ScenarioError) as caught:
+        Simulator(scenario)
+    for part in ("scenario 'paper'", f"followers.mix: '{name}' has no policy", "cooperative"):
+        assert part in str(caught.value)
+    Simulator(scenario, follower_policies={name: lambda seen: 0.0 * seen[:, 0]})
 
 
 def test_one_error_names_every_problem():

@@ -1,20 +1,22 @@
 """The kernel against the oracle of reference.py, step by step from the kernel's own state."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from reference import Road
+from reference import FOLLOWER_TERMS, SCRIPTED, Road
 from staging import damped_actions
 
 from marl_lanes.scenario import list_scenarios
-from marl_lanes.traffic.observation import FEATURES, feature_bounds
+from marl_lanes.traffic.external import FOLLOWER_COLUMNS
+from marl_lanes.traffic.observation import FEATURES, feature_bounds, follower_feature_bounds
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.traffic.state import Outcome, Phase
 
 EVERY_FEATURE = {"features": [feature.name for feature in FEATURES]}
 LOW, HIGH = feature_bounds(EVERY_FEATURE["features"])
+FOLLOWER_LOW, FOLLOWER_HIGH = follower_feature_bounds()
 MIXED = {
     "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
     "followers": {"mix": {"cooperative": 1.0, "neutral": 1.0, "adversarial": 1.0}},
@@ -37,6 +39,16 @@ ARCS = [
 ]
 
 
+LONGITUDINAL = {"action": {"longitudinal": {"max_speed": 24.0}}}
+PAID = {"reward": {"delay_weight": 0.7, "longitudinal_weight": 0.3}}
+CROWDED = {
+    **BUSY,
+    "departures": {"interval": [0.5, 1.2], "initial_speed": [6.0, 14.0]},
+    "max_vehicles": 60,
+    "num_slots": 6,
+    "gap": {"minimum_gap": 0.5, "time_gap": 0.1},
+}
+RECKLESS = {"max_acceleration": 5.0, "max_braking": 6.0, "max_speed": 30.0, "is_guarded": False}
 OPEN_GAP = {"gap": {"minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 50.0}}
 
 
@@ -51,6 +63,9 @@ class Case:
     bias: float = 0.0
     seed: int = 0
     meets: tuple = (Phase.ENGAGED,)
+    has_learner: bool = False
+    pushing: float = 0.0
+    policies: dict = field(default_factory=dict)
 
 
 CASES = {
@@ -78,6 +93,54 @@ CASES = {
         150,
         bias=0.4,
         meets=(Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD),
+    ),
+    "two actions": Case("paper", BUSY | LONGITUDINAL | PAID, 150, meets=(Outcome.COMPLETED,)),
+    "two actions, crowded": Case(
+        "interactive",
+        CROWDED | LONGITUDINAL | PAID | {"drivers": {"car_following": "sum"}},
+        120,
+        seed=2,
+        meets=(Phase.WAITING, Phase.ABORTING, Outcome.COMPLETED),
+    ),
+    "delay": Case("dense", MIXED | PAID, 100, meets=(Phase.WAITING, Phase.ENGAGED)),
+    "learned": Case(
+        "paper",
+        CROWDED | {"followers": {"mix": {"learned": 1.0}}},
+        150,
+        pushing=2.0,
+        has_learner=True,
+        meets=("paired", "abort", "unpaired", Outcome.COMPLETED),
+    ),
+    "learned, unguarded": Case(
+        "paper",
+        CROWDED
+        | OPEN_GAP
+        | {
+            "followers": {
+                "mix": {"learned": 1.0},
+                "external": RECKLESS,
+                "learned": {"objective": "cooperative"},
+            }
+        },
+        150,
+        noise=0.5,
+        pushing=3.0,
+        has_learner=True,
+        meets=("paired", "collision", "braking"),
+    ),
+    "external of several kinds": Case(
+        "interactive",
+        CROWDED
+        | PAID
+        | LONGITUDINAL
+        | {"followers": {"mix": {"polite": 1.0, "adversarial": 0.5, "learned": 1.0, "rude": 1.0}}},
+        150,
+        has_learner=True,
+        policies={
+            "polite": lambda seen: 0.2 * (seen[:, 2] - 10.0).clip(-10.0, 10.0),
+            "rude": lambda seen: 0.05 * seen[:, 0].clip(0.0, 40.0),
+        },
+        meets=("paired", "abort", "scripted"),
     ),
     "short": Case(
         "paper",
@@ -135,12 +198,47 @@ def compare_agents(road, simulator, env):
             assert close(row[f"reward_{term}"], value), term
         assert close(row["reward"], agent.reward)
         assert close(row["episode_reward"], agent.episode_reward)
+        assert close(row["car_following"], agent.car_following)
         for name, other in agent.neighbors.items():
             assert row[name] == (other.slot if other else -1), name
         assert (seen >= LOW).all()
         assert (seen <= HIGH).all()
         for name, value in zip(simulator.scenario.observation.features, seen, strict=True):
             assert close(value, agent.observation[name], 1e-6), name
+
+
+def compare_followers(road, simulator, env):
+    for slot, row in enumerate(simulator.state.followers[env]):
+        follower = road.followers.get(slot) if road.external_names else None
+        seen = simulator.state.follower_observations[env, slot]
+        terms = [float(row[f"reward_{term}"]) for term in FOLLOWER_TERMS]
+        if follower is None:
+            assert (row["vehicle"], row["policy"]) == (-1, -1)
+            assert not any(terms)
+            assert (row["reward"], row["episode_reward"]) == (0.0, 0.0)
+            assert not seen.any()
+            continue
+        driver = follower.car
+        assert row["vehicle"] == (-1 if driver is None else driver.slot)
+        assert row["policy"] == (-1 if driver is None else driver.disposition - len(SCRIPTED))
+        for term, value in zip(FOLLOWER_TERMS, terms, strict=True):
+            assert close(value, follower.terms[term]), term
+        assert close(row["reward"], follower.reward)
+        assert close(row["episode_reward"], follower.episode_reward)
+        assert (seen >= FOLLOWER_LOW).all()
+        assert (seen <= FOLLOWER_HIGH).all()
+        for name, value, expected in zip(FOLLOWER_COLUMNS, seen, follower.observation, strict=True):
+            assert close(value, expected, 1e-6), name
+
+
+def met_behind(road):
+    """What happened to the drivers behind the changers."""
+    for slot, follower in road.followers.items():
+        yield "unpaired" if follower.car is None else "paired"
+        yield from (term for term, value in follower.terms.items() if value)
+        driver = road.agents[slot].neighbors["target_follower"]
+        if driver is not None and driver.changer and driver.disposition < len(SCRIPTED):
+            yield "scripted"
 
 
 def compare_road(road, simulator, env):
@@ -161,21 +259,37 @@ def compare_road(road, simulator, env):
 
 def follow(case):
     """Run the case, every step held against the oracle; the phases and outcomes that occurred."""
-    simulator = Simulator(case.scenario, 2, seed=case.seed, overrides=case.overrides)
+    simulator = Simulator(
+        case.scenario,
+        2,
+        seed=case.seed,
+        overrides=case.overrides,
+        learned_followers=case.has_learner,
+        follower_policies=case.policies,
+    )
     simulator.reset()
     generator = np.random.default_rng(case.seed)
+    names = simulator.scenario.followers.external_names
     met = set()
     for _ in range(case.num_steps):
         roads = [Road.of(simulator, env) for env in range(2)]
-        actions = np.asarray(damped_actions(simulator, case.noise, generator)) + case.bias
-        simulator.step(actions)
+        actions = damped_actions(simulator, case.noise, generator)
+        actions[..., 0] += case.bias
+        behind = generator.uniform(-7.0, 7.0, (*simulator.agents.shape, 1)) + case.pushing
+        wanted = behind[..., 0].copy()
+        for name, policy in case.policies.items():
+            rows = simulator.state.followers["policy"] == names.index(name)
+            wanted[rows] = policy(simulator.state.follower_observations[rows])
+        simulator.step(actions, behind if case.has_learner else None)
         for env, road in enumerate(roads):
-            road.step(actions[env, :, 0].tolist())
+            road.step(actions[env].tolist(), wanted[env].tolist())
             compare_road(road, simulator, env)
             compare_vehicles(road, simulator, env)
             compare_agents(road, simulator, env)
+            compare_followers(road, simulator, env)
             met |= {agent.phase for agent in road.agents.values()}
             met |= {agent.outcome for agent in road.agents.values()}
+            met |= set(met_behind(road))
     return met
 
 

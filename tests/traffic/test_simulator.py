@@ -172,13 +172,24 @@ def test_an_action_that_is_not_finite_is_refused_where_it_would_steer(value):
     actions = np.zeros((2, simulator.num_slots, 1))
     actions[1, slot] = value
     before = simulator.state.tobytes()
-    with pytest.raises(ValueError, match=r"actions\[1, 0\] = .*: must be a finite yaw acc"):
+    with pytest.raises(ValueError, match=r"actions\[1, 0, 0\] = .*: must be a finite acc"):
         simulator.step(actions)
     assert simulator.state.tobytes() == before
     actions[1, slot] = 0.0
     actions[0, :] = actions[1, slot + 1] = value
     simulator.step(actions)
     assert np.isfinite(simulator.vehicles[1, 0]["yaw"])
+
+
+def test_a_second_action_must_be_finite_while_its_agent_waits():
+    simulator = Simulator("interactive", 1, overrides={"warmup": [0.0, 0.0]})
+    simulator.reset()
+    stage(simulator, {"lane": 1, "position": 300.0})
+    slot = command(simulator, 0, 1, Phase.WAITING)
+    actions = np.zeros((1, simulator.num_slots, 2))
+    actions[0, slot, 1] = np.nan
+    with pytest.raises(ValueError, match=r"actions\[0, 0, 1\] = nan: must be a finite acc"):
+        simulator.step(actions)
 
 
 @pytest.mark.parametrize(
@@ -201,6 +212,8 @@ def test_wrong_shapes_are_refused():
         simulator.reset([True, False])
     with pytest.raises(ValueError, match=r"actions: shape \(3, 8\), must be \(3, 8, 1\)"):
         simulator.step(np.zeros((3, 8)))
+    with pytest.raises(ValueError, match=r"follower_actions: shape \(3, 8\), must be \(3, 8, 1\)"):
+        simulator.step(None, np.zeros((3, 8)))
 
 
 def test_the_views_tell_who_is_live_engaged_and_over():
@@ -217,7 +230,7 @@ def test_the_views_tell_who_is_live_engaged_and_over():
     assert seen.all()
 
 
-@pytest.mark.parametrize("name", ["VEHICLE", "AGENT", "ROAD", "LANE", "COLLISION"])
+@pytest.mark.parametrize("name", ["VEHICLE", "AGENT", "FOLLOWER", "ROAD", "LANE", "COLLISION"])
 def test_every_quantity_of_the_state_has_a_unit_and_a_meaning(name):
     table = getattr(tables, name)
     assert len({row[0] for row in table}) == len(table)

@@ -69,7 +69,9 @@ def test_vehicles_are_conserved_under_random_actions(name):
     simulator.reset()
     assert_conserved(simulator)
     for _ in range(250):
-        simulator.step(generator.uniform(-1.0, 1.0, (3, simulator.num_slots, 1)))
+        simulator.step(
+            generator.uniform(-1.0, 1.0, (3, simulator.num_slots, simulator.num_actions))
+        )
         assert_conserved(simulator)
     assert simulator.roads["num_left"].sum() > 0
 
@@ -87,7 +89,7 @@ def test_vehicles_are_conserved_where_they_collide(bias):
     generator = np.random.default_rng(8)
     simulator.reset()
     for _ in range(500):
-        simulator.step(np.asarray(damped_actions(simulator, 0.3, generator)) + bias)
+        simulator.step(damped_actions(simulator, 0.3, generator) + bias)
         assert_conserved(simulator)
     assert simulator.roads["num_collided"].sum() > 0
     # A vehicle collides once, with one other or with several.
