@@ -105,12 +105,12 @@ def test_ten_thousand_guarded_maneuvers_end_without_a_collision():
     counts = np.zeros(len(Outcome), np.int64)
     for name in ("dense", "paper"):
         scenario = load_scenario(
-            scenario_of(name, *KINDS), {"num_agents": 100, "command": {"probability": 1.0}}
+            scenario_of(name, *KINDS), {"num_agents": 40, "command": {"probability": 1.0}}
         )
         policy = prior(scenario)
-        simulator = Simulator(scenario, 50, seed=1)
+        simulator = Simulator(scenario, 125, seed=1)
         simulator.reset()
-        actions = np.zeros((50, simulator.num_slots, 1))
+        actions = np.zeros((125, simulator.num_slots, 1))
         while not simulator.roads["is_done"].all():
             engaged = simulator.is_engaged
             if engaged.any():
