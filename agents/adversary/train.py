@@ -19,13 +19,12 @@ from typing import Any
 import hydra
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from omegaconf import MISSING, DictConfig
 from tqdm import tqdm
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
 from marl_lanes.envs.batched import FOLLOWERS
-from marl_lanes.envs.followers import load_follower
+from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import Policy, check_episodes, run_maneuvers
@@ -291,16 +290,6 @@ class Run:
             )
         checkpoints = {label: str(path) for label, path in changers.items()}
         return {"objective": self.config.objective, "checkpoints": checkpoints, **result}
-
-
-def follower_policy(network: NAFNetwork) -> FollowerPolicy:
-    """The network's greedy action as a driver: observations (N, G) to accelerations (N,)."""
-    act = greedy_policy(network)
-
-    def drive(observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        return act(observations)[:, 0]
-
-    return drive
 
 
 def _evaluate(

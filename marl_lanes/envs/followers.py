@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.followers import LEARNED
 from marl_lanes.traffic.external import FOLLOWER_COLUMNS, FollowerPolicy, registered_follower
 from marl_lanes.traffic.parameters import follower_action_bounds
+
+if TYPE_CHECKING:
+    from marl_lanes.naf.network import NAFNetwork
 
 
 def find_policies(
@@ -48,7 +52,7 @@ def load_follower(path: Path, scenario: Scenario) -> FollowerPolicy:
         CheckpointError: it cannot be read, or its features or bounds are not the scenario's.
     """
     # Imported here: an environment without a learned follower needs no torch.
-    from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy, read_checkpoint
+    from marl_lanes.naf.checkpoint import CheckpointError, read_checkpoint
 
     network = read_checkpoint(path).network
     wanted = list(FOLLOWER_COLUMNS)
@@ -64,6 +68,13 @@ def load_follower(path: Path, scenario: Scenario) -> FollowerPolicy:
             f"follower checkpoint {path}: its action bounds are {found}, followers.external of "
             f"scenario {scenario.name!r} has {(low.tolist(), high.tolist())}"
         )
+    return follower_policy(network)
+
+
+def follower_policy(network: "NAFNetwork") -> FollowerPolicy:
+    """The network's greedy action as a driver: observations (n, G) to accelerations (n,)."""
+    from marl_lanes.naf.checkpoint import greedy_policy
+
     act = greedy_policy(network)
 
     def drive(observations: NDArray[np.float32]) -> NDArray[np.float64]:
