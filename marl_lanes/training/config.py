@@ -79,6 +79,8 @@ class ExplorationConfig:
     """From annealing_transitions on, of each action's half range [1]."""
     annealing_transitions: int = MISSING
     """Transitions over which it falls, linearly."""
+    longitudinal_factor: float = MISSING
+    """Multiplies the noise of a second action, the longitudinal acceleration [1]."""
 
 
 @dataclass
@@ -226,6 +228,7 @@ def check_learner(config: LearnerConfig, prefix: str = "") -> None:
         "optimizer.learning_rate": config.optimizer.learning_rate,
         "optimizer.mu_learning_rate": config.optimizer.mu_learning_rate,
         "optimizer.transitions_per_update": config.optimizer.transitions_per_update,
+        "exploration.longitudinal_factor": config.exploration.longitudinal_factor,
     }
     if config.optimizer.max_gradient_norm is not None:
         positive["optimizer.max_gradient_norm"] = config.optimizer.max_gradient_norm

@@ -91,7 +91,8 @@ class Learner:
             sigma_end=float(config.exploration.final_sigma),
         )
         # Sigma is a share of the half range, whatever the action's unit.
-        self.noise.std = network.box.half_range
+        self.noise.std = network.box.half_range.clone()
+        self.noise.std[1:] *= config.exploration.longitudinal_factor
         policy = LivePolicy(network.policy().module, network.action_dim, group)
         self.collector = Collector(
             env,

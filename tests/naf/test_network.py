@@ -219,17 +219,21 @@ def test_structured_mu_keeps_to_the_box(mu, low, high):
     network = NAFNetwork(PAPER, [low], [high], mu=mu, scales=SCALES, offsets=OFFSETS)
     observation = make_observation(200) * 10
     initial = call(network, observation)["greedy_action"].abs().max().item()
+    bound = min(-low, high)
     expected = {"paper": PaperMu, "damped": DampedMu}[mu].initial_a_max
-    assert initial == pytest.approx(min(expected, 0.9 * min(-low, high)), rel=0.05)
+    expected = min(expected, 0.9 * bound)
+    if mu == "damped":
+        expected = max(expected, min(0.03 * 1.4**3 + 0.01 * bound, bound))
+    assert initial == pytest.approx(expected, rel=0.05)
     raw = stir(network, 3.0).mu(observation, network.normalise(observation))
     assert (raw >= low).all()
     assert (raw <= high).all()
 
 
-def lane_change(network, seconds=60.0, dt=0.1, speed=22.0, deviation=3.75):
+def lane_change(network, seconds=60.0, dt=0.1, speed=22.0, deviation=3.75, yaw=0.0):
     """The lateral deviations of a vehicle under the greedy policy, semi-implicit Euler."""
     policy = network.policy()
-    yaw = yaw_rate = 0.0
+    yaw_rate = 0.0
     deviations = []
     for _ in range(round(seconds / dt)):
         observation = state(lateral_deviation=deviation, yaw=yaw, yaw_rate=yaw_rate)
@@ -259,6 +263,19 @@ def test_damped_mu_settles_at_the_ends_of_its_gains(poles):
     assert max(map(abs, lane_change(network)[-100:])) < 0.01
 
 
+@pytest.mark.parametrize("poles", [-1e30, 0.0, 1.0, 1e30])
+def test_damped_mu_brings_a_turned_back_vehicle_home(poles):
+    network = make_network("damped")
+    with torch.no_grad():
+        network.mu.heads.last_bias[0].fill_(-1e30)
+        network.mu.heads.last_bias[1:].fill_(poles)
+    # At the marking, 1.1 m/s outward: to the road's edge it has 3.8 m more.
+    deviations = lane_change(network, deviation=-0.9, yaw=0.05)
+    assert min(deviations) > -4.7
+    assert max(deviations) < 2.0
+    assert max(map(abs, deviations[-100:])) < 0.05
+
+
 def test_policy_shares_mu_and_evaluates_nothing_else():
     network = stir(make_network("damped"))
     policy = network.policy(("changers", "observation"), ("changers", "action"))
@@ -270,8 +287,9 @@ def test_policy_shares_mu_and_evaluates_nothing_else():
     network.factor_logits = network.value = None  # calling either would raise
     torch.testing.assert_close(policy(data)["changers", "action"], expected)
     with torch.no_grad():
-        network.mu.heads.last_bias[0].fill_(-1e30)
-    assert policy(data)["changers", "action"].abs().max() < 0.01
+        network.mu.heads.last_bias.fill_(-1e30)  # poles of 1 rad/s, a_max as low as it goes
+    least = 0.03 + 0.01 * 0.5
+    assert policy(data)["changers", "action"].abs().max() <= least * 1.001
 
 
 class Roads(EnvBase):

@@ -147,6 +147,8 @@ BAD = [
     ("exploration.final_sigma", -0.01),
     ("exploration.final_sigma", 0.5),
     ("exploration.annealing_transitions", -1),
+    ("exploration.longitudinal_factor", 0.0),
+    ("exploration.longitudinal_factor", "nan"),
     ("evaluation.save_interval", 0),
     ("evaluation.num_maneuvers", 0),
     ("evaluation.final_num_maneuvers", 0),

@@ -160,15 +160,19 @@ def sampled_noise(learner, group, num_actions):
     return torch.stack([learner.noise(step)[group, "action"] for step in steps])
 
 
-@pytest.mark.parametrize("sigma", [0.02, 0.1])
-def test_the_noise_is_a_share_of_each_half_range(sigma):
-    options = (f"exploration.initial_sigma={sigma}", "exploration.final_sigma=0.01")
+@pytest.mark.parametrize(("sigma", "factor"), [(0.02, 1.0), (0.1, 1.0), (0.02, 4.0)])
+def test_the_noise_is_a_share_of_each_half_range(sigma, factor):
+    options = (
+        f"exploration.initial_sigma={sigma}",
+        "exploration.final_sigma=0.01",
+        f"exploration.longitudinal_factor={factor}",
+    )
     learner = changers(*options, overrides=TWO_ACTIONS, mu="mlp")
     noise = sampled_noise(learner, "changers", 2)
     # Bounds -0.5 to 0.5 and -5 to 1: half ranges 0.5 and 3.
     assert noise[..., 0].std().item() == pytest.approx(sigma * 0.5, rel=0.03)
-    assert noise[..., 1].std().item() == pytest.approx(sigma * 3.0, rel=0.03)
-    assert noise.mean((0, 1, 2)).abs().max() < sigma * 0.1
+    assert noise[..., 1].std().item() == pytest.approx(factor * sigma * 3.0, rel=0.03)
+    assert noise.mean((0, 1, 2)).abs().max() < factor * sigma * 0.1
     learner.collector.shutdown()
     learner = followers(*options)
     noise = sampled_noise(learner, "followers", 1)
