@@ -199,11 +199,11 @@ class NAFLoss(LossModule):
             a tensordict with the entry "loss": a scalar, or with reduction "none" one a row.
         """
         network = self.value_network
-        data = tensordict.select(network.observation_key, network.action_key).detach()
+        observation = tensordict.get(network.observation_key).detach()
+        action = tensordict.get(network.action_key).detach()
         with self.value_network_params.to_module(network, preserve_module_state=False):
-            network(data)
-        prediction = data.get(self.tensor_keys.state_action_value).squeeze(-1)
-        target = self._target(tensordict).squeeze(-1)
+            prediction = network.action_value(observation, action).squeeze(-1)
+            target = self._target(tensordict).squeeze(-1)
 
         priority = (prediction.detach() - target).square()
         if tensordict.device is not None:
@@ -225,11 +225,14 @@ class NAFLoss(LossModule):
     @torch.no_grad()
     def _target(self, tensordict: TensorDictBase) -> Tensor:
         # The network's own maximum, not the estimator's call of the whole network: it skips mu
-        # and M where V is all it takes.
-        observation = tensordict.get(unravel_key(("next", self.value_network.observation_key)))
-        target_params = self.target_value_network_params
-        with target_params.to_module(self.value_network, preserve_module_state=False):
-            next_value = self.value_network.max_value(observation)
+        # and M where V is all it takes, and their parameters need not be put in place.
+        network = self.value_network
+        observation = tensordict.get(unravel_key(("next", network.observation_key)))
+        params, module = self.target_value_network_params, network
+        if network.mu_inside_box:
+            params, module = params.get("value"), network.value
+        with params.to_module(module, preserve_module_state=False):
+            next_value = network.max_value(observation)
         target: Tensor = self.value_estimator.value_estimate(tensordict, next_value=next_value)
         return target
 
