@@ -178,20 +178,27 @@ class NAFNetwork(TensorDictModuleBase):
         value: Tensor = self.value(normalised)
         return value + advantage
 
-    def max_value(self, observation: Tensor) -> Tensor:
+    def max_value(self, observation: Tensor, params: TensorDictBase | None = None) -> Tensor:
         """max_a Q(s, a) over the box, as `forward` writes it, evaluating what it takes alone.
 
         Args:
             observation: (..., len(features)).
+            params: parameters to use instead of its own, such as a target's; buffers are its own.
 
         Returns:
             state values, (..., 1).
         """
-        normalised = self.normalise(observation)
-        value: Tensor = self.value(normalised)
-        if self.mu_inside_box:
+        if self._mu_inside_box:
+            values = None if params is None else params.get("value")
+            value: Tensor = self.value(self.normalise(observation), values)
             return value
-        return value + self._clipping(normalised, self._mu(observation, normalised), None)
+        if params is not None:
+            with params.to_module(self, preserve_module_state=False):
+                return self.max_value(observation)
+        normalised = self.normalise(observation)
+        mu = self._mu(observation, normalised)
+        value = self.value(normalised)
+        return value + self._clipping(normalised, mu, None)
 
     def cholesky(self, observation: Tensor) -> Tensor:
         """L of M = -L L^T, in units of the box's half-range, (..., action_dim, action_dim)."""
@@ -216,8 +223,7 @@ class NAFNetwork(TensorDictModuleBase):
         )
 
     @property
-    def mu_inside_box(self) -> bool:
-        """Whether mu never leaves the box, so that the maximum of Q is V itself."""
+    def _mu_inside_box(self) -> bool:
         return getattr(self.mu, "inside_box", False)
 
     def _mu(self, observation: Tensor, normalised: Tensor) -> Tensor:
@@ -233,7 +239,7 @@ class NAFNetwork(TensorDictModuleBase):
         actions = self.action_dim
         logits = self.factor_logits(normalised)
         bound = LOG_DIAGONAL_BOUND
-        if actions == 1:  # a matrix of one entry: the general way takes several kernels more
+        if actions == 1:  # the general way takes several kernels more
             return torch.exp(bound * torch.tanh(logits / bound)).unsqueeze(-1)
         diagonal = torch.exp(bound * torch.tanh(logits[..., :actions] / bound))
         factor = torch.diag_embed(diagonal)
@@ -256,7 +262,7 @@ class NAFNetwork(TensorDictModuleBase):
 
     def _clipping(self, normalised: Tensor, mu: Tensor, factor: Tensor | None) -> Tensor | float:
         """What Q at the clipped mu loses against V."""
-        if self.mu_inside_box:
+        if self._mu_inside_box:
             return 0.0
         if factor is None:
             factor = self._factor(normalised)
