@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_
 from torchrl.collectors import Collector
@@ -29,6 +29,7 @@ from marl_lanes.training.config import LearnerConfig
 from marl_lanes.training.files import write_json
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, STATE_FILE, RunFolder
+from marl_lanes.training.timing import Split, TimedPolicy, split_time
 from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
 
 ROWS_AT_ONCE = 32_768
@@ -99,9 +100,10 @@ class Learner:
         # Sigma is a share of the half range, whatever the action's unit.
         self.noise.std = network.box.half_range
         policy = LivePolicy(network.policy().module, network.action_dim, group)
+        self.policy = TimedPolicy(*others, policy, self.noise)
         self.collector = Collector(
             env,
-            TensorDictSequential(*others, policy, self.noise),
+            self.policy,
             frames_per_batch=config.collector.num_envs * config.collector.steps_per_batch,
             total_frames=-1,
             track_traj_ids=False,
@@ -119,6 +121,11 @@ class Learner:
     def seconds(self) -> dict[str, float]:
         """Seconds by activity."""
         return {key: round(value, 2) for key, value in self.counters.items() if "_" in key}
+
+    @property
+    def split(self) -> Split:
+        """Time for each transition by activity, evaluations and saving left out."""
+        return split_time(self.counters, self.transitions)
 
     def begin(self, folder: Path) -> None:
         """Start in a new or empty folder.
@@ -161,6 +168,15 @@ class Learner:
         start = time.perf_counter()
         yield
         self.counters[f"seconds_{activity}"] += time.perf_counter() - start
+
+    def collect(self, batches: Iterator[TensorDictBase]) -> TensorDictBase:
+        """The next batch of steps."""
+        simulating, acting = self.env.seconds, self.policy.seconds
+        with self.timed("collecting"):
+            batch = next(batches)
+        self.counters["seconds_simulating"] += self.env.seconds - simulating
+        self.counters["seconds_acting"] += self.policy.seconds - acting
+        return batch
 
     def anneal(self) -> None:
         """Set the exploration noise and the stage for the transitions to come."""
@@ -262,7 +278,7 @@ class Learner:
         """
         total = self.config.collector.total_transitions
         interval = self.config.evaluation.save_interval
-        batches = iter(self.collector)
+        batches = cast("Iterator[TensorDictBase]", iter(self.collector))
         with (
             _interruptions() as interrupted,
             tqdm(
@@ -271,15 +287,14 @@ class Learner:
         ):
             while self.transitions < total and not interrupted:
                 before = self.transitions
-                self.anneal()
-                with self.timed("collecting"):
-                    batch = cast("TensorDictBase", next(batches))
-                self.learn(batch)
+                with self.timed("training"):
+                    self.anneal()
+                    self.learn(self.collect(batches))
+                    bar.update(self.transitions - before)
                 if self.transitions // interval > before // interval:
                     with self.timed("evaluating"):
                         self.save_model(f"step_{self.transitions:09d}.pt", evaluate_model)
                         self.save()
-                bar.update(self.transitions - before)
         self.save()
         if self.transitions < total:
             return False
