@@ -2,10 +2,10 @@
 
 python benchmarks/naf_update.py [--rounds N] [--eager] [--json FILE]
 
-An update is what ``Learner.update`` does: draw a batch, loss, backward, fused Adam, soft target. The
-bare one has plain tensors for the replay and functions for the networks, and no library but torch.
-Before they are timed both make the same updates from the same start, which must end in the same
-parameters. Then they take turns (A B A B ...); the table shows medians.
+An update is what ``Learner.update`` does: draw a batch, loss, backward, fused Adam, soft target.
+The bare one has plain tensors for the replay and functions for the networks, and no library but
+torch. Before they are timed both make the same updates from the same start, which must end in the
+same parameters. Then they take turns (A B A B ...); the table shows medians of CPU time.
 """
 
 import argparse
@@ -91,7 +91,7 @@ class BareUpdate:
         batch = {key: value.index_select(0, rows) for key, value in self.replay.items()}
         self.optimizer.zero_grad()
         loss = self.loss(**batch)
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
         torch._foreach_lerp_(self.target, self.data, TAU)
         return loss.detach()
@@ -194,9 +194,7 @@ def check_same(learner: Learner, bare: BareUpdate) -> float:
     targets = learner.loss.target_value_network_params
     with targets.to_module(network):
         ours = _all_parameters(network)
-    pairs = zip(
-        [*_all_parameters(network), *ours], [*bare.parameters, *bare.target], strict=True
-    )
+    pairs = zip([*_all_parameters(network), *ours], [*bare.parameters, *bare.target], strict=True)
     difference = max(float((one - other).detach().abs().max()) for one, other in pairs)
     if not difference <= TOLERANCE:
         raise AssertionError(f"parameters differ by {difference:.2g}: must be {TOLERANCE:g}")
@@ -209,7 +207,7 @@ def _all_parameters(network: NAFNetwork) -> list[Tensor]:
 
 
 def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, Any]:
-    """Median microseconds an update of every contestant, and the ratios."""
+    """Median CPU microseconds an update of every contestant, and the ratios."""
     contestants: dict[str, Callable[[int], list[float]]] = {}
     differences = {}
     for mode in ("eager", "compiled") if has_compiled else ("eager",):
