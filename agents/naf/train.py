@@ -31,6 +31,7 @@ from marl_lanes.training.config import (
 from marl_lanes.training.files import write_json
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder
+from marl_lanes.training.timing import format_split
 
 register("training_schema", TrainingConfig)
 
@@ -59,6 +60,7 @@ def main(given: DictConfig) -> None:
     print(f"run folder: {learner.run.path}")
     for name, value in {**learner.seconds, **summary}.items():
         print(f"  {name}: {value:.4g}" if isinstance(value, float) else f"  {name}: {value}")
+    print(f"time of the training, without evaluating and saving:\n{format_split(learner.split)}")
 
 
 def start(config: TrainingConfig) -> tuple[Learner, Scenario]:

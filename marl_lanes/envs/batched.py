@@ -1,6 +1,8 @@
 """The TorchRL environment: E roads that advance together, their agents in reusable slots."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,19 @@ GROUP = "changers"
 
 FOLLOWERS = "followers"
 """The group of the learned followers."""
+
+
+def _timed(method: Callable[..., TensorDict]) -> Callable[..., TensorDict]:
+    """Add the wall time of each call to the environment's ``seconds``."""
+
+    @wraps(method)
+    def timed(self: Any, *args: Any, **kwargs: Any) -> TensorDict:
+        start = time.perf_counter()
+        result = method(self, *args, **kwargs)
+        self.seconds += time.perf_counter() - start
+        return result
+
+    return timed
 
 
 class LaneChangeEnv(EnvBase):
@@ -65,11 +80,16 @@ class LaneChangeEnv(EnvBase):
             ``learned``, or of all where the mix has none of these.
         follower_policies: policies by their name in ``followers.mix``, before registered ones.
 
+    Attributes:
+        seconds: wall time so far in its own steps and resets, without TorchRL's work around them.
+
     Raises:
         ScenarioError: the scenario cannot be, or a follower of its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
         ValueError: another argument is out of range.
     """
+
+    seconds = 0.0
 
     def __init__(
         self,
@@ -175,6 +195,7 @@ class LaneChangeEnv(EnvBase):
         inner = {name: Composite(dict(leaves), shape=shape) for name, leaves in groups.items()}
         return Composite(inner, shape=shape[:1])
 
+    @_timed
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = None
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118
@@ -183,6 +204,7 @@ class LaneChangeEnv(EnvBase):
             self.simulator.reset(mask)
         return self._make_tensordict(self._observe())
 
+    @_timed
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self._is_restored = False
         actions = [

@@ -2,8 +2,10 @@
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 
@@ -57,7 +59,8 @@ class Heads(nn.Module):
     """Tanh networks side by side, whose outputs start near given values, whatever the input.
 
     They have no weights in common; one batched product a layer evaluates them together, which for
-    networks of this size costs little more than one of them.
+    networks of this size costs little more than one of them. Weights are (networks, in, out) and
+    biases (networks, 1, out); a single network's are (in, out) and (out,).
 
     Args:
         in_features: length of the input.
@@ -75,20 +78,23 @@ class Heads(nn.Module):
         self.initial = [list(values) for values in initial]
         widths = [in_features, *hidden_sizes, len(self.initial[0])]
         self.num_layers = len(widths) - 1
-        for layer, (fan_in, fan_out) in enumerate(itertools.pairwise(widths)):
-            weight = torch.empty(len(self.initial), fan_in, fan_out)
-            self.register_parameter(f"weight_{layer}", nn.Parameter(weight))
-            bias = torch.empty(len(self.initial), 1, fan_out)
-            self.register_parameter(f"bias_{layer}", nn.Parameter(bias))
+        self.names = [(f"weight_{layer}", f"bias_{layer}") for layer in range(self.num_layers)]
+        for names, (fan_in, fan_out) in zip(self.names, itertools.pairwise(widths), strict=True):
+            shapes: Sequence[tuple[int, ...]] = ((fan_in, fan_out), (fan_out,))
+            if len(initial) > 1:
+                shapes = ((len(initial), fan_in, fan_out), (len(initial), 1, fan_out))
+            for name, shape in zip(names, shapes, strict=True):
+                self.register_parameter(name, nn.Parameter(torch.empty(shape)))
         self.reset_parameters()
 
     def layer(self, index: int) -> tuple[Tensor, Tensor]:
-        """Weight (networks, in, out) and bias (networks, 1, out) of a layer."""
-        return getattr(self, f"weight_{index}"), getattr(self, f"bias_{index}")
+        """Weight and bias of a layer."""
+        weight, bias = self.names[index]
+        return getattr(self, weight), getattr(self, bias)
 
     @property
     def last_bias(self) -> Tensor:
-        """Bias of the last layer, (networks, 1, outputs)."""
+        """Bias of the last layer."""
         return self.layer(self.num_layers - 1)[1]
 
     def reset_parameters(self) -> None:
@@ -96,20 +102,44 @@ class Heads(nn.Module):
         with torch.no_grad():
             for index in range(self.num_layers):
                 weight, bias = self.layer(index)
-                bound = weight.shape[1] ** -0.5  # that of nn.Linear
+                bound = weight.shape[-2] ** -0.5  # that of nn.Linear
                 weight.uniform_(-bound, bound)
                 bias.uniform_(-bound, bound)
             weight.mul_(self.LAST_GAIN)
-            bias.copy_(torch.tensor(self.initial).unsqueeze(1))
+            bias.copy_(torch.tensor(self.initial).reshape(bias.shape))
 
-    def forward(self, observation: Tensor) -> Tensor:
-        """(..., in_features) to (..., networks * outputs), network by network."""
-        rows = observation.flatten(end_dim=-2) if observation.ndim > 1 else observation[None]
-        hidden = rows.expand(len(self.initial), -1, -1)
-        for index in range(self.num_layers):
-            weight, bias = self.layer(index)
-            hidden = torch.baddbmm(bias, hidden, weight)
-            if index < self.num_layers - 1:
+    def forward(self, observation: Tensor, params: TensorDictBase | None = None) -> Tensor:
+        """(..., in_features) to (..., networks * outputs), network by network.
+
+        Args:
+            observation: (..., in_features).
+            params: weights and biases to use instead of its own, by their names here.
+        """
+        rows = observation
+        if observation.ndim != 2:
+            rows = observation.flatten(end_dim=-2) if observation.ndim > 1 else observation[None]
+        is_single = len(self.initial) == 1
+        product = torch.addmm if is_single else torch.baddbmm
+        hidden = rows if is_single else rows.expand(len(self.initial), -1, -1)
+        for index, (weight, bias) in enumerate(self.names):
+            if index:
                 hidden = torch.tanh(hidden)
-        width = hidden.shape[0] * hidden.shape[2]
-        return hidden.transpose(0, 1).reshape(*observation.shape[:-1], width)
+            if params is None:
+                hidden = product(getattr(self, bias), hidden, getattr(self, weight))
+            else:
+                hidden = product(params.get(bias), hidden, params.get(weight))
+        if not is_single:
+            hidden = hidden.transpose(0, 1).flatten(1)
+        if observation.ndim == 2:
+            return hidden
+        return hidden.reshape(*observation.shape[:-1], hidden.shape[-1])
+
+    def _load_from_state_dict(
+        self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
+    ) -> None:
+        # Checkpoints from before single networks had matrices of their own: stacks of one.
+        for name, value in self._parameters.items():
+            stored = state_dict.get(prefix + name)
+            if stored is not None and value is not None and stored.numel() == value.numel():
+                state_dict[prefix + name] = stored.reshape(value.shape)
+        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)

@@ -1,6 +1,9 @@
 """The temporal-difference loss of normalized advantage functions."""
 
+import operator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Self
 
 import torch
@@ -15,6 +18,7 @@ from torchrl.objectives.utils import (
     dispatch_value_estimator,
     distance_loss,
 )
+from torchrl.objectives.value import TD0Estimator
 
 from marl_lanes.naf.network import NAFNetwork
 
@@ -146,6 +150,7 @@ class NAFLoss(LossModule):
             raise TypeError(f"value_network must be a NAFNetwork, got {type(value_network)}")
         super().__init__()
         self._in_keys: list[NestedKey] | None = None
+        self._owners: tuple[list[dict[str, Any]], list[dict[str, Any]]] | None = None
         self.use_prioritized_weights = use_prioritized_weights
         self.delay_value = delay_value
         self.loss_function = loss_function
@@ -199,18 +204,21 @@ class NAFLoss(LossModule):
             a tensordict with the entry "loss": a scalar, or with reduction "none" one a row.
         """
         network = self.value_network
-        data = tensordict.select(network.observation_key, network.action_key).detach()
-        with self.value_network_params.to_module(network, preserve_module_state=False):
-            network(data)
-        prediction = data.get(self.tensor_keys.state_action_value).squeeze(-1)
-        target = self._target(tensordict).squeeze(-1)
+        observation = tensordict.get(network.observation_key).detach()
+        action = tensordict.get(network.action_key).detach()
+        with self._parameters_in_place():
+            prediction = network.action_value(observation, action).squeeze(-1)
+            target = self._target(tensordict).squeeze(-1)
 
-        priority = (prediction.detach() - target).square()
+        loss = distance_loss(prediction, target, self.loss_function)
+        if self.loss_function == "l2" and self.reduction != "none":
+            priority = loss.detach()
+        else:
+            priority = (prediction.detach() - target).square()
         if tensordict.device is not None:
             priority = priority.to(tensordict.device)
         tensordict.set(self.tensor_keys.priority, priority, inplace=True)
 
-        loss = distance_loss(prediction, target, self.loss_function)
         weights = self._maybe_get_priority_weight(tensordict)
         if weights is not None:
             # A replay buffer weighs rows; the agents of a row share its weight.
@@ -222,15 +230,51 @@ class NAFLoss(LossModule):
         )
         return output
 
+    def _parameters_in_place(self) -> AbstractContextManager[Any]:
+        """Put the loss's parameters into the network, where it does not have them already.
+
+        It mostly has: they are its own until the loss is cast, moved or given others. To compare
+        them takes far less time than to exchange them.
+        """
+        params = self.value_network_params
+        if not torch.compiler.is_compiling():
+            if self._owners is None:
+                modules = list(self.value_network.modules())
+                self._owners = [m._parameters for m in modules], [m._buffers for m in modules]
+            parameters, buffers = (
+                chain.from_iterable(map(dict.values, owners)) for owners in self._owners
+            )
+            # A TensorDictParams has aliases of the buffers.
+            if all(map(operator.is_, params._parameters.values(), parameters)) and all(
+                map(_is_same_memory, params._buffers.values(), buffers)
+            ):
+                return nullcontext()
+        context: AbstractContextManager[Any] = params.to_module(
+            self.value_network, preserve_module_state=False
+        )
+        return context
+
     @torch.no_grad()
     def _target(self, tensordict: TensorDictBase) -> Tensor:
         # The network's own maximum, not the estimator's call of the whole network: it skips mu
         # and M where V is all it takes.
-        observation = tensordict.get(unravel_key(("next", self.value_network.observation_key)))
-        target_params = self.target_value_network_params
-        with target_params.to_module(self.value_network, preserve_module_state=False):
-            next_value = self.value_network.max_value(observation)
-        target: Tensor = self.value_estimator.value_estimate(tensordict, next_value=next_value)
+        network = self.value_network
+        observation = tensordict.get(unravel_key(("next", network.observation_key)))
+        next_value = network.max_value(observation, self.target_value_network_params)
+        estimator = self.value_estimator
+        target: Tensor
+        if type(estimator) is TD0Estimator and not estimator.average_rewards:
+            keys = estimator.tensor_keys
+            if tensordict.get(keys.steps_to_next_obs, None) is None:
+                # What it would do, with fewer look-ups.
+                reward = tensordict.get(("next", keys.reward))
+                terminated = tensordict.get(("next", keys.terminated), None)
+                if terminated is None:
+                    terminated = tensordict.get(("next", keys.done))
+                if next_value.shape == reward.shape == terminated.shape:
+                    target = reward + estimator.gamma.to(reward.device) * ~terminated * next_value
+                    return target
+        target = estimator.value_estimate(tensordict, next_value=next_value)
         return target
 
     def _set_in_keys(self) -> None:
@@ -248,3 +292,7 @@ class NAFLoss(LossModule):
         if self.use_prioritized_weights:
             keys.add(unravel_key(self.tensor_keys.priority_weight))
         return sorted(keys, key=str)
+
+
+def _is_same_memory(one: Tensor, other: Tensor | None) -> bool:
+    return other is not None and one.data_ptr() == other.data_ptr() and one.dtype == other.dtype

@@ -161,20 +161,44 @@ class NAFNetwork(TensorDictModuleBase):
         tensordict.set(self.value_key, value + self._clipping(normalised, mu, factor))
         return tensordict
 
-    def max_value(self, observation: Tensor) -> Tensor:
+    def action_value(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Q(s, a), as `forward` writes it, evaluating what it takes alone.
+
+        Args:
+            observation: (..., len(features)).
+            action: (..., action_dim).
+
+        Returns:
+            state-action values, (..., 1).
+        """
+        normalised = self.normalise(observation)
+        advantage = self._advantage(
+            self._factor(normalised), self._mu(observation, normalised), action
+        )
+        value: Tensor = self.value(normalised)
+        return value + advantage
+
+    def max_value(self, observation: Tensor, params: TensorDictBase | None = None) -> Tensor:
         """max_a Q(s, a) over the box, as `forward` writes it, evaluating what it takes alone.
 
         Args:
             observation: (..., len(features)).
+            params: parameters to use instead of its own, such as a target's; buffers are its own.
 
         Returns:
             state values, (..., 1).
         """
-        normalised = self.normalise(observation)
-        value: Tensor = self.value(normalised)
         if self._mu_inside_box:
+            values = None if params is None else params.get("value")
+            value: Tensor = self.value(self.normalise(observation), values)
             return value
-        return value + self._clipping(normalised, self._mu(observation, normalised), None)
+        if params is not None:
+            with params.to_module(self, preserve_module_state=False):
+                return self.max_value(observation)
+        normalised = self.normalise(observation)
+        mu = self._mu(observation, normalised)
+        value = self.value(normalised)
+        return value + self._clipping(normalised, mu, None)
 
     def cholesky(self, observation: Tensor) -> Tensor:
         """L of M = -L L^T, in units of the box's half-range, (..., action_dim, action_dim)."""
@@ -203,21 +227,26 @@ class NAFNetwork(TensorDictModuleBase):
         return getattr(self.mu, "inside_box", False)
 
     def _mu(self, observation: Tensor, normalised: Tensor) -> Tensor:
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.mu_frozen):
-            mu: Tensor = self.mu(observation, normalised)
+        mu: Tensor
+        if not self.mu_frozen:
+            mu = self.mu(observation, normalised)
+            return mu
+        with torch.no_grad():
+            mu = self.mu(observation, normalised)
         return mu
 
     def _factor(self, normalised: Tensor) -> Tensor:
         actions = self.action_dim
         logits = self.factor_logits(normalised)
         bound = LOG_DIAGONAL_BOUND
+        if actions == 1:  # the general way takes several kernels more
+            return torch.exp(bound * torch.tanh(logits / bound)).unsqueeze(-1)
         diagonal = torch.exp(bound * torch.tanh(logits[..., :actions] / bound))
         factor = torch.diag_embed(diagonal)
-        if actions > 1:
-            rows, columns = torch.tril_indices(actions, actions, -1, device=logits.device)
-            bound = OFF_DIAGONAL_BOUND
-            ratios = bound * torch.tanh(logits[..., actions:] / bound)
-            factor[..., rows, columns] = ratios * diagonal[..., rows]
+        rows, columns = torch.tril_indices(actions, actions, -1, device=logits.device)
+        bound = OFF_DIAGONAL_BOUND
+        ratios = bound * torch.tanh(logits[..., actions:] / bound)
+        factor[..., rows, columns] = ratios * diagonal[..., rows]
         return factor
 
     def _advantage(self, factor: Tensor, mu: Tensor, action: Tensor) -> Tensor:
@@ -227,6 +256,8 @@ class NAFNetwork(TensorDictModuleBase):
                 f"expected actions of shape {tuple(mu.shape)}, got {tuple(action.shape)}"
             )
         distance = (mu - action) / self.box.half_range
+        if self.action_dim == 1:
+            return -(factor.squeeze(-1) * distance).square()
         return -(factor.mT @ distance.unsqueeze(-1)).square().sum(-2)
 
     def _clipping(self, normalised: Tensor, mu: Tensor, factor: Tensor | None) -> Tensor | float:

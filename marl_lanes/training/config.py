@@ -67,6 +67,8 @@ class OptimizerConfig:
     """New transitions for each update."""
     pretraining_transitions: int = MISSING
     """Length of stage one, which trains M and V alone."""
+    compile: bool = MISSING
+    """Whether the loss goes through torch.compile; the first update then takes a minute."""
 
 
 @dataclass

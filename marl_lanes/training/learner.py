@@ -11,23 +11,29 @@ from typing import Any, cast
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import AdditiveGaussianModule
-from torchrl.objectives import HardUpdate, SoftUpdate
+from torchrl.objectives import HardUpdate
 from tqdm import tqdm
 
 from marl_lanes.envs.batched import GROUP, LaneChangeEnv
 from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.network import NAFNetwork
+from marl_lanes.naf.updater import ForeachSoftUpdate
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.config import LearnerConfig
 from marl_lanes.training.files import write_json
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, STATE_FILE, RunFolder
+from marl_lanes.training.timing import Split, TimedPolicy, split_time
 from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
+
+ROWS_AT_ONCE = 32_768
+"""Rows read from the replay buffer together, for as many updates as they make."""
 
 EvaluateModel = Callable[[NAFNetwork], Mapping[str, Any]]
 """What a network achieves as it is: metrics by name, numbers or None."""
@@ -67,23 +73,24 @@ class Learner:
         self.loss = NAFLoss(network)
         self.loss.make_value_estimator(gamma=config.loss.gamma)
         if config.loss.target_update == "soft":
-            self.target_updater = SoftUpdate(self.loss, tau=config.loss.tau)
+            self.target_updater = ForeachSoftUpdate(self.loss, tau=config.loss.tau)
         else:
             # Its interval counts the calls in between, of which there are none.
             self.target_updater = HardUpdate(self.loss, value_network_update_interval=0)
-        rates = {
-            network.factor_logits: config.optimizer.learning_rate,
-            network.value: config.optimizer.learning_rate,
-            network.mu: config.optimizer.mu_learning_rate,
-        }
+        rates: dict[float, list[nn.Parameter]] = {}
+        for part, rate in (
+            (network.factor_logits, config.optimizer.learning_rate),
+            (network.value, config.optimizer.learning_rate),
+            (network.mu, config.optimizer.mu_learning_rate),
+        ):
+            rates.setdefault(rate, []).extend(part.parameters())
+        # Each group of parameters is a call of its own.
         self.optimizer = torch.optim.Adam(
-            [{"params": list(part.parameters()), "lr": rate} for part, rate in rates.items()],
-            fused=True,
+            [{"params": values, "lr": rate} for rate, values in rates.items()], fused=True
         )
-        self.replay = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(config.replay.capacity),
-            batch_size=config.replay.batch_size,
-        )
+        self.parameters = list(network.parameters())
+        self.compute_loss = torch.compile(self.loss) if config.optimizer.compile else self.loss
+        self.replay = TensorDictReplayBuffer(storage=LazyTensorStorage(config.replay.capacity))
         self.noise = AdditiveGaussianModule(
             spec=env.full_action_spec,
             action_key=(group, "action"),
@@ -94,9 +101,10 @@ class Learner:
         self.noise.std = network.box.half_range.clone()
         self.noise.std[1:] *= config.exploration.longitudinal_factor
         policy = LivePolicy(network.policy().module, network.action_dim, group)
+        self.policy = TimedPolicy(*others, policy, self.noise)
         self.collector = Collector(
             env,
-            TensorDictSequential(*others, policy, self.noise),
+            self.policy,
             frames_per_batch=config.collector.num_envs * config.collector.steps_per_batch,
             total_frames=-1,
             track_traj_ids=False,
@@ -114,6 +122,11 @@ class Learner:
     def seconds(self) -> dict[str, float]:
         """Seconds by activity."""
         return {key: round(value, 2) for key, value in self.counters.items() if "_" in key}
+
+    @property
+    def split(self) -> Split:
+        """Time for each transition by activity, evaluations and saving left out."""
+        return split_time(self.counters, self.transitions)
 
     def begin(self, folder: Path) -> None:
         """Start in a new or empty folder.
@@ -157,6 +170,15 @@ class Learner:
         yield
         self.counters[f"seconds_{activity}"] += time.perf_counter() - start
 
+    def collect(self, batches: Iterator[TensorDictBase]) -> TensorDictBase:
+        """The next batch of steps."""
+        simulating, acting = self.env.seconds, self.policy.seconds
+        with self.timed("collecting"):
+            batch = next(batches)
+        self.counters["seconds_simulating"] += self.env.seconds - simulating
+        self.counters["seconds_acting"] += self.policy.seconds - acting
+        return batch
+
     def anneal(self) -> None:
         """Set the exploration noise and the stage for the transitions to come."""
         exploration = self.config.exploration
@@ -167,18 +189,34 @@ class Learner:
         self.network.mu_frozen = is_stage_one
         self.loss.value_network.mu_frozen = is_stage_one
 
-    def update(self) -> float:
-        """One gradient step on a batch from the replay buffer, and the target's."""
+    def update(self, number: int) -> list[float]:
+        """So many gradient steps on batches from the replay buffer, and the target's.
+
+        Returns:
+            the losses.
+        """
+        size = self.config.replay.batch_size
+        at_once = max(1, ROWS_AT_ONCE // size)
+        losses: list[Tensor] = []
+        while (left := number - len(losses)) > 0:
+            # One draw of many batches gives the rows that as many draws would give.
+            count = min(left, at_once)
+            rows = self.replay.sample(count * size).reshape(count, size)
+            losses += [self._take_step(batch) for batch in rows.unbind(0)]
+        return torch.stack(losses).tolist() if losses else []
+
+    def _take_step(self, batch: TensorDictBase) -> Tensor:
+        config = self.config
         self.optimizer.zero_grad(set_to_none=True)
-        loss = self.loss(self.replay.sample())["loss"]
+        loss: Tensor = self.compute_loss(batch)["loss"]
         loss.backward()
-        if self.config.optimizer.max_gradient_norm is not None:
-            clip_grad_norm_(self.network.parameters(), self.config.optimizer.max_gradient_norm)
+        if config.optimizer.max_gradient_norm is not None:
+            clip_grad_norm_(self.parameters, config.optimizer.max_gradient_norm, foreach=True)
         self.optimizer.step()
         self.counters["updates"] += 1
-        if int(self.counters["updates"]) % self.config.loss.target_interval == 0:
+        if int(self.counters["updates"]) % config.loss.target_interval == 0:
             self.target_updater.step()
-        return float(loss.detach())
+        return loss.detach()
 
     def learn(self, batch: TensorDictBase) -> None:
         """Store a collected batch, make the updates that are due, log both."""
@@ -187,13 +225,11 @@ class Learner:
             if len(transitions):
                 self.replay.extend(transitions)
             self.counters["transitions"] += len(transitions)
-        losses = []
         with self.timed("learning"):
             config = self.config
             start = config.replay.warmup_transitions
             due = max(0, self.transitions - start) / config.optimizer.transitions_per_update
-            while self.transitions >= start and self.counters["updates"] < int(due):
-                losses.append(self.update())
+            losses = self.update(int(due) - int(self.counters["updates"]))
         with self.timed("logging"):
             self.log(batch, losses)
 
@@ -243,7 +279,7 @@ class Learner:
         """
         total = self.config.collector.total_transitions
         interval = self.config.evaluation.save_interval
-        batches = iter(self.collector)
+        batches = cast("Iterator[TensorDictBase]", iter(self.collector))
         with (
             _interruptions() as interrupted,
             tqdm(
@@ -252,15 +288,14 @@ class Learner:
         ):
             while self.transitions < total and not interrupted:
                 before = self.transitions
-                self.anneal()
-                with self.timed("collecting"):
-                    batch = cast("TensorDictBase", next(batches))
-                self.learn(batch)
+                with self.timed("training"):
+                    self.anneal()
+                    self.learn(self.collect(batches))
+                    bar.update(self.transitions - before)
                 if self.transitions // interval > before // interval:
                     with self.timed("evaluating"):
                         self.save_model(f"step_{self.transitions:09d}.pt", evaluate_model)
                         self.save()
-                bar.update(self.transitions - before)
         self.save()
         if self.transitions < total:
             return False

@@ -187,3 +187,57 @@ def test_observations_get_no_gradient():
     assert data["observation"].grad is None
     assert data["next", "observation"].grad is None
     assert not data["td_error"].requires_grad
+
+
+@pytest.mark.parametrize("mu", ["paper", "damped", "mlp"])
+def test_action_value_and_max_value_are_what_forward_writes(mu):
+    actions = 2 if mu == "mlp" else 1
+    network = make_network(actions, mu=mu)
+    loss = make_loss(network)
+    data = make_data(actions=actions)
+    whole = network(data.select("observation", "action"))
+    value = network.action_value(data["observation"], data["action"])
+    torch.testing.assert_close(value, whole["state_action_value"])
+    torch.testing.assert_close(network.max_value(data["observation"]), whole["state_value"])
+    # With another's parameters, and its own are as they were.
+    before = {name: p.clone() for name, p in network.named_parameters()}
+    target = loss.target_value_network_params
+    for name in before:
+        target[tuple(name.split("."))].add_(0.1)
+    there = network.max_value(data["observation"], target)
+    with target.to_module(network, preserve_module_state=False):
+        expected = network(data.select("observation"))["state_value"]
+    torch.testing.assert_close(there, expected)
+    assert not torch.allclose(there, whole["state_value"])
+    assert all(torch.equal(before[name], p) for name, p in network.named_parameters())
+
+
+def test_the_losss_parameters_count_where_the_network_has_others():
+    loss = make_loss()
+    data = make_data()
+    other = make_loss()
+    expected = other(data)["loss"].detach()
+    assert not torch.isclose(loss(data)["loss"], expected)
+    loss.value_network_params = other.value_network_params
+    loss.target_value_network_params = other.target_value_network_params
+    own = [p.clone() for p in loss.value_network.parameters()]
+    output = loss(data)["loss"]
+    torch.testing.assert_close(output, expected)
+    output.backward()
+    assert all(torch.equal(a, b) for a, b in zip(own, loss.value_network.parameters(), strict=True))
+    assert all(p.grad is None for p in loss.value_network.parameters())
+    assert all(p.grad.norm() > 0 for p in other.value_network.parameters())
+    # The buffers, too: here the network reads its features on another scale.
+    with torch.no_grad():
+        loss.value_network.normalise.scale = loss.value_network.normalise.scale * 3
+    torch.testing.assert_close(loss(data)["loss"], expected)
+
+
+def test_steps_that_span_several_transitions_are_discounted_as_such():
+    loss = make_loss().make_value_estimator(gamma=0.5)
+    data = make_data()
+    one = loss(data)["loss"]
+    data["steps_to_next_obs"] = torch.ones(8, 1, dtype=torch.int64)
+    torch.testing.assert_close(loss(data)["loss"], one)
+    data["steps_to_next_obs"] += 1
+    assert not torch.isclose(loss(data)["loss"], one)

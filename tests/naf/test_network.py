@@ -414,3 +414,20 @@ def test_docstring():
     outcome = doctest.testmod(marl_lanes.naf.network)
     assert outcome.attempted
     assert not outcome.failed
+
+
+@pytest.mark.parametrize("mu", ["paper", "mlp"])
+def test_weights_of_single_networks_as_stacks_of_one_are_read(mu):
+    network, other = make_network(mu), make_network(mu)
+    assert network.value.layer(0)[0].ndim == 2
+    state = network.state_dict()
+    stacked = dict(state)
+    for key, value in state.items():
+        if key.startswith(("value.", "factor_logits.")):
+            stacked[key] = value.reshape(1, -1, value.shape[-1])
+    assert stacked["value.bias_0"].shape == (1, 1, 16)
+    other.load_state_dict(stacked)
+    for key, value in state.items():
+        assert torch.equal(other.state_dict()[key], value), key
+    with pytest.raises(RuntimeError, match="size mismatch"):
+        other.load_state_dict(state | {"value.bias_0": torch.zeros(9)})

@@ -195,3 +195,68 @@ def test_the_others_are_left_alone(tmp_path):
     # Without noise.
     assert steps["changers", "action"][acting].allclose(wanted)
     assert acting.any()
+
+
+def filled(*options):
+    """A learner with transitions in its replay buffer."""
+    learner = changers(*options)
+    generator = torch.Generator().manual_seed(3)
+
+    def draw(*shape):
+        return torch.randn(shape, generator=generator)
+
+    ends = {key: draw(200, 1) > 1.5 for key in ("done", "terminated", "truncated")}
+    following = TensorDict({"observation": draw(200, 6), "reward": draw(200, 1), **ends}, [200])
+    rows = {"observation": draw(200, 6), "action": draw(200, 1) * 0.1, "next": following}
+    learner.replay.extend(TensorDict(rows, [200]))
+    return learner
+
+
+def weights_of(learner):
+    return {key: value.clone() for key, value in learner.loss.state_dict().items()}
+
+
+def test_many_updates_at_once_are_those_one_by_one(monkeypatch):
+    results = []
+    for rows_at_once, numbers in ((1, [1] * 7), (48, [7]), (10_000, [5, 0, 2])):
+        monkeypatch.setattr("marl_lanes.training.learner.ROWS_AT_ONCE", rows_at_once)
+        learner = filled()
+        torch.manual_seed(9)
+        losses = [loss for number in numbers for loss in learner.update(number)]
+        results.append((losses, weights_of(learner), torch.rand(3)))
+        learner.collector.shutdown()
+        assert learner.counters["updates"] == len(losses) == 7
+        assert all(loss > 0.0 for loss in losses)
+    for losses, weights, random in results[1:]:
+        assert losses == results[0][0]
+        assert torch.equal(random, results[0][2])
+        for key, value in results[0][1].items():
+            assert torch.equal(weights[key], value), key
+
+
+@pytest.mark.parametrize("option", ["mu_learning_rate=0.0001", "mu_learning_rate=0.001"])
+def test_each_network_learns_at_its_rate(option):
+    learner = filled(f"optimizer.{option}", "optimizer.max_gradient_norm=null")
+    before = weights_of(learner)
+    learner.update(1)
+    learner.collector.shutdown()
+    after = weights_of(learner)
+    # Adam's first step is the rate, whatever the gradient.
+    for part, rate in (("value", 1e-3), ("factor_logits", 1e-3), ("mu", float(option[17:]))):
+        keys = [key for key in before if key.startswith(f"value_network_params.{part}")]
+        steps = [(after[key] - before[key]).abs().max().item() for key in keys]
+        assert max(steps) == pytest.approx(rate, rel=1e-2), part
+
+
+def test_a_compiled_loss_gives_the_same_losses():
+    torch._dynamo.reset()
+    results = []
+    for option in ("false", "true"):
+        learner = filled(f"optimizer.compile={option}")
+        torch.manual_seed(9)
+        results.append((learner.update(5), weights_of(learner)))
+        learner.collector.shutdown()
+    (losses, weights), (others, compiled) = results
+    assert losses == pytest.approx(others, rel=1e-4)
+    for key, value in weights.items():
+        torch.testing.assert_close(compiled[key], value, rtol=1e-3, atol=1e-5)

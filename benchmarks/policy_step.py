@@ -1,0 +1,163 @@
+"""What a policy step costs with more and more empty slots, and where a training's time goes.
+
+python benchmarks/policy_step.py [--rounds N] [--transitions N] [--json FILE]
+
+First the same number of acting agents among more and more slots: the policy as a training uses it,
+which evaluates acting agents alone, and the network on every slot, in turn. Then short trainings by
+the recipes of agents/naf: microseconds for each collected live transition.
+"""
+
+import argparse
+import json
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
+from marl_lanes.envs.batched import GROUP
+from marl_lanes.training.checkpoint import make_network
+from marl_lanes.training.config import TrainingConfig, register
+from marl_lanes.training.learner import Learner
+from marl_lanes.training.timing import OTHER, format_split
+from marl_lanes.training.transitions import LivePolicy
+
+PROGRAM = Path(__file__).parents[1] / "agents" / "naf"
+NUM_ENVS, NUM_ACTING, STEPS_PER_TURN = 256, 512, 20
+SLOTS = (4, 16, 64)
+RECIPES = ("fast", "paper", "interactive")
+OTHER_TARGET = 0.1
+"""Share of the time for what is not simulate, act, store or learn: at most this."""
+
+
+class Counted(nn.Module):
+    """A policy that counts the rows it is given."""
+
+    def __init__(self, policy: nn.Module) -> None:
+        super().__init__()
+        self.policy = policy
+        self.rows = 0
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """The policy's actions."""
+        self.rows += observation.shape[:-1].numel()
+        actions: Tensor = self.policy(observation)
+        return actions
+
+
+def measure_slots(rounds: int) -> list[dict[str, float]]:
+    """For each number of slots: CPU microseconds a step, and rows through the network."""
+    torch.manual_seed(0)
+    network = make_network(load_scenario("paper"), "paper")
+    contestants: dict[tuple[int, str], tuple[Counted, Callable[[], object]]] = {}
+    for slots in SLOTS:
+        acting = torch.zeros(NUM_ENVS * slots, dtype=torch.bool)
+        acting[torch.randperm(NUM_ENVS * slots)[:NUM_ACTING]] = True
+        group = {
+            "observation": torch.randn(NUM_ENVS, slots, len(network.features)),
+            "acting": acting.reshape(NUM_ENVS, slots),
+        }
+        data = TensorDict({GROUP: TensorDict(group, [NUM_ENVS, slots])}, [NUM_ENVS])
+        for name in ("live", "all"):
+            counted = Counted(network.policy().module)
+            contestants[slots, name] = counted, _stepper(name, counted, data)
+    times: dict[tuple[int, str], list[float]] = {key: [] for key in contestants}
+    for _ in range(rounds + 1):
+        for key, (_, step) in contestants.items():
+            start = time.process_time()
+            for _ in range(STEPS_PER_TURN):
+                step()
+            times[key].append((time.process_time() - start) / STEPS_PER_TURN * 1e6)
+    steps = (rounds + 1) * STEPS_PER_TURN
+    return [
+        {"slots": slots}
+        | {
+            f"{name}_microseconds": statistics.median(times[slots, name][1:])
+            for name in ("live", "all")
+        }
+        | {f"{name}_rows": contestants[slots, name][0].rows / steps for name in ("live", "all")}
+        for slots in SLOTS
+    ]
+
+
+def _stepper(name: str, counted: Counted, data: TensorDict) -> Callable[[], object]:
+    policy = LivePolicy(counted, 1)
+    if name == "live":
+        return lambda: policy(data)
+
+    def on_all() -> object:
+        with torch.no_grad():
+            return counted(data[GROUP, "observation"])
+
+    return on_all
+
+
+def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float]]:
+    """A short training's time by activity, without evaluating and saving."""
+    register("training_schema", TrainingConfig)
+    options = [
+        f"recipe={recipe}",
+        f"collector.total_transitions={transitions}",
+        f"evaluation.save_interval={10 * transitions}",
+        # In stage two from the start: mu learns, too.
+        "optimizer.pretraining_transitions=0",
+    ]
+    with initialize_config_dir(str(PROGRAM), version_base="1.3"):
+        config: Any = OmegaConf.to_object(compose("config", options))
+    scenario = load_scenario(config.scenario)
+    env = LaneChangeEnv(
+        scenario, config.collector.num_envs, seed=0, overrides=config.training_overrides
+    )
+    torch.manual_seed(0)
+    learner = Learner(config, env, make_network(scenario, config.network.mu))
+    with tempfile.TemporaryDirectory() as folder:
+        learner.begin(Path(folder) / "run")
+        learner.train(_no_evaluation)
+        learner.close()
+    return learner.split
+
+
+def _no_evaluation(network: NAFNetwork) -> dict[str, None]:  # noqa: ARG001 - evaluates nothing
+    return dict.fromkeys(("mean_return", "completion_rate", "mean_num_steps"))
+
+
+def main() -> None:
+    """Measure both, print the tables, write the JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=21, help="turns of each (default: 21)")
+    parser.add_argument(
+        "--transitions", type=int, default=150_000, help="of recipe fast (default: 150000)"
+    )
+    parser.add_argument("--json", type=Path, help="write the figures to this file as well")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    slots = measure_slots(options.rounds)
+    print(f"{NUM_ACTING} acting agents on {NUM_ENVS} roads; CPU microseconds a policy step")
+    print(f"{'slots':>6} {'live: rows':>11} {'time':>8} {'all: rows':>11} {'time':>8}")
+    for row in slots:
+        print(
+            f"{row['slots']:6} {row['live_rows']:11,.0f} {row['live_microseconds']:8,.0f} "
+            f"{row['all_rows']:11,.0f} {row['all_microseconds']:8,.0f}"
+        )
+    splits = {}
+    for recipe in RECIPES:
+        # An update for each transition takes longer.
+        number = options.transitions // 50 if recipe == "paper" else options.transitions
+        splits[recipe] = measure_split(recipe, number)
+        print(f"\nrecipe {recipe}; target: {OTHER} <= {OTHER_TARGET:.0%}")
+        print(format_split(splits[recipe]))
+    if options.json is not None:
+        result = {"slots": slots, "split": splits, "other_target": OTHER_TARGET}
+        options.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
