@@ -1,7 +1,8 @@
 """Train the shared NAF policy of all lane changers, evaluate it, write its report.
 
 python agents/naf/train.py [recipe=fast|interactive|paper] [scenario=NAME] [network.mu=NAME]
-    [seed=N] [output=DIR] [initial_checkpoint=FILE] [resume=RUN] [any field of the config]
+    [seed=N] [output=DIR] [initial_checkpoint=FILE] [resume=RUN]
+    [collector=multi|ray num_workers=N [ray.address=HOST:PORT]] [any field of the config]
 """
 
 import sys
@@ -20,6 +21,7 @@ from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
+from marl_lanes.training.collectors import WorkerError
 from marl_lanes.training.config import (
     ConfigError,
     TrainingConfig,
@@ -30,7 +32,8 @@ from marl_lanes.training.config import (
 )
 from marl_lanes.training.files import write_json
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder
+from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, check_empty
+from marl_lanes.training.workers import choose_collector
 
 register("training_schema", TrainingConfig)
 
@@ -40,6 +43,9 @@ def main(given: DictConfig) -> None:
     """Train, evaluate, report."""
     try:
         config = read_config(given, TrainingConfig)
+        if config.collector.kind == "ray" and given.ray.address is not None:
+            # The cluster may be another one when a run goes on.
+            config.ray.address = given.ray.address
         learner, scenario = start(config)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
@@ -50,14 +56,19 @@ def main(given: DictConfig) -> None:
         maneuvers = run_maneuvers(scenario, policy, settings.num_maneuvers, seed=settings.seed)
         return evaluate(maneuvers, scenario, with_optimum=False)
 
-    if not learner.train(evaluate_model):
+    try:
+        is_complete = learner.train(evaluate_model)
+    except WorkerError as error:
+        learner.close()
+        sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
+    if not is_complete:
         learner.close()
         print(f"interrupted; continue with resume={learner.run.path}")
         return
     summary = report(learner, config, scenario)
     learner.close()
     print(f"run folder: {learner.run.path}")
-    for name, value in {**learner.seconds, **summary}.items():
+    for name, value in {**learner.seconds, **learner.memory, **summary}.items():
         print(f"  {name}: {value:.4g}" if isinstance(value, float) else f"  {name}: {value}")
 
 
@@ -68,18 +79,32 @@ def start(config: TrainingConfig) -> tuple[Learner, Scenario]:
     scenario = load_scenario(config.scenario)
     check_episodes(scenario)
     env = LaneChangeEnv(
-        scenario, config.collector.num_envs, seed=config.seed, overrides=config.training_overrides
+        scenario,
+        config.collector.num_envs // config.num_workers,
+        seed=config.seed,
+        overrides=config.training_overrides,
     )
     if env.scenario.command.probability == 0.0:
         raise ConfigError("training_overrides: command.probability = 0: must be above 0")
     torch.manual_seed(config.seed)
-    learner = Learner(config, env, start_network(config, scenario))
     folder = Path(config.output)
-    if config.resume is not None:
-        learner.resume(folder)
-    else:
-        learner.begin(folder)
-        write_config(learner.run.config, config)
+    if config.resume is None:
+        check_empty(folder)
+    learner = Learner(
+        config,
+        env,
+        start_network(config, scenario),
+        make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
+    )
+    try:
+        if config.resume is not None:
+            learner.resume(folder)
+        else:
+            learner.begin(folder)
+            write_config(learner.run.config, config)
+    except BaseException:
+        learner.collector.shutdown()
+        raise
     return learner, scenario
 
 

@@ -64,6 +64,7 @@ class LaneChangeEnv(EnvBase):
         learned_followers: add the group ``followers``, of the drivers whose disposition is
             ``learned``, or of all where the mix has none of these.
         follower_policies: policies by their name in ``followers.mix``, before registered ones.
+        first_road: index of the first road among the seed's, as for ``Simulator``.
 
     Raises:
         ScenarioError: the scenario cannot be, or a follower of its mix has no policy.
@@ -82,6 +83,7 @@ class LaneChangeEnv(EnvBase):
         overrides: Mapping[str, Any] | None = None,
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
+        first_road: int = 0,
     ) -> None:
         loaded = load_scenario(scenario, overrides)
         self.simulator = Simulator(
@@ -93,6 +95,7 @@ class LaneChangeEnv(EnvBase):
             follower_policies=find_policies(
                 loaded, follower_policies, has_learner=learned_followers
             ),
+            first_road=first_road,
         )
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.scenario = self.simulator.scenario

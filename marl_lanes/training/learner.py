@@ -1,20 +1,20 @@
 """One group's learning: what it is made of, how far it is, and the loop."""
 
+import shutil
 import signal
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch.nn.utils import clip_grad_norm_
-from torchrl.collectors import Collector
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import TensorDictReplayBuffer
 from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import HardUpdate, SoftUpdate
 from tqdm import tqdm
@@ -23,10 +23,19 @@ from marl_lanes.envs.batched import GROUP, LaneChangeEnv
 from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.training.checkpoint import save_checkpoint
+from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
 from marl_lanes.training.files import write_json
+from marl_lanes.training.replay import make_replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
-from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, STATE_FILE, RunFolder
+from marl_lanes.training.run_folder import (
+    EVALUATED,
+    FINAL_MODEL,
+    REPLAY_FOLDER,
+    STATE_FILE,
+    RunFolder,
+    check_empty,
+)
 from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
 
 EvaluateModel = Callable[[NAFNetwork], Mapping[str, Any]]
@@ -40,14 +49,17 @@ class Learner:
 
     Args:
         config: how it learns.
-        env: that it collects in; its state is part of the training state.
+        env: that it collects in, or the pattern of the workers' environments.
         network: of the group; changed in place. Random numbers are torch's own: seed them before.
         group: whose network it is.
         others: policies of other groups, modules that write their actions.
         evaluated: the metrics in the table of the saved models.
+        make_collector: in this process, or in others. What it collects in is part of the training
+            state.
     """
 
     run: RunFolder
+    replay: TensorDictReplayBuffer
 
     def __init__(
         self,
@@ -58,6 +70,7 @@ class Learner:
         group: str = GROUP,
         others: Sequence[TensorDictModuleBase] = (),
         evaluated: Sequence[str] = EVALUATED,
+        make_collector: MakeCollector = LocalCollector,
     ) -> None:
         self.config = config
         self.env = env
@@ -80,10 +93,6 @@ class Learner:
             [{"params": list(part.parameters()), "lr": rate} for part, rate in rates.items()],
             fused=True,
         )
-        self.replay = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(config.replay.capacity),
-            batch_size=config.replay.batch_size,
-        )
         self.noise = AdditiveGaussianModule(
             spec=env.full_action_spec,
             action_key=(group, "action"),
@@ -93,13 +102,10 @@ class Learner:
         # Sigma is a share of the half range, whatever the action's unit.
         self.noise.std = network.box.half_range
         policy = LivePolicy(network.policy().module, network.action_dim, group)
-        self.collector = Collector(
+        self.collector = make_collector(
             env,
             TensorDictSequential(*others, policy, self.noise),
-            frames_per_batch=config.collector.num_envs * config.collector.steps_per_batch,
-            total_frames=-1,
-            track_traj_ids=False,
-            auto_register_policy_transforms=False,
+            config.collector.steps_per_batch,
         )
         self.counters = defaultdict[str, float](float)
         """transitions, updates, saved (models), and seconds by activity."""
@@ -114,12 +120,32 @@ class Learner:
         """Seconds by activity."""
         return {key: round(value, 2) for key, value in self.counters.items() if "_" in key}
 
+    @property
+    def memory(self) -> dict[str, float]:
+        """Bytes of an environment and of a transition in the replay buffer."""
+        # A step that is not taken has the form of one.
+        step = self.env.fake_tensordict()
+        step[self.group, "acting"] = torch.ones_like(step[self.group, "acting"])
+        row = live_transitions(step, self.group)[:1]
+        # The buffer adds the row's index.
+        index = torch.int64.itemsize
+        return {
+            "bytes_per_environment": self.env.simulator.bytes_per_environment,
+            "bytes_per_stored_transition": row.bytes() + index,
+        }
+
+    def _make_replay(self, folder: Path) -> TensorDictReplayBuffer:
+        size = self.memory["bytes_per_stored_transition"]
+        return make_replay(self.config.replay, folder / REPLAY_FOLDER, size)
+
     def begin(self, folder: Path) -> None:
         """Start in a new or empty folder.
 
         Raises:
-            ConfigError: it holds something.
+            ConfigError: it holds something, or its disk is too small for the replay buffer.
         """
+        check_empty(folder)
+        self.replay = self._make_replay(folder)
         self.run = RunFolder(folder, evaluated=self.evaluated)
         self.save()
 
@@ -131,11 +157,14 @@ class Learner:
         """
         content = read_state(folder / STATE_FILE)
         self.counters.update(content["counters"])
+        self.replay = self._make_replay(folder)
         restore_state(
-            content, loss=self.loss, optimizer=self.optimizer, replay=self.replay, env=self.env
+            content,
+            loss=self.loss,
+            optimizer=self.optimizer,
+            replay=self.replay,
+            collector=self.collector,
         )
-        # It has looked at its environment when it was built; let it look again.
-        self.collector.reset()
         self.run = RunFolder(folder, until=self.transitions, evaluated=self.evaluated)
 
     def save(self) -> None:
@@ -146,7 +175,7 @@ class Learner:
             loss=self.loss,
             optimizer=self.optimizer,
             replay=self.replay,
-            env=self.env,
+            collector=self.collector,
         )
 
     @contextmanager
@@ -239,10 +268,12 @@ class Learner:
 
         Returns:
             whether the training is over; False when it was interrupted.
+
+        Raises:
+            WorkerError: a worker has died; the training state is the last one that was written.
         """
         total = self.config.collector.total_transitions
         interval = self.config.evaluation.save_interval
-        batches = iter(self.collector)
         with (
             _interruptions() as interrupted,
             tqdm(
@@ -253,7 +284,7 @@ class Learner:
                 before = self.transitions
                 self.anneal()
                 with self.timed("collecting"):
-                    batch = cast("TensorDictBase", next(batches))
+                    batch = self.collector.next()
                 self.learn(batch)
                 if self.transitions // interval > before // interval:
                     with self.timed("evaluating"):
@@ -269,9 +300,10 @@ class Learner:
         return True
 
     def close(self) -> None:
-        """Release the collector and the logs."""
+        """Release the collector, the logs, and the files of the replay buffer."""
         self.collector.shutdown()
         self.run.close()
+        shutil.rmtree(self.run.path / REPLAY_FOLDER, ignore_errors=True)
 
 
 @contextmanager
