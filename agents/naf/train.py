@@ -50,6 +50,9 @@ def main(given: DictConfig) -> None:
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
 
+    for index, place in enumerate(learner.collector.places):
+        print(f"worker {index}: {place}", file=sys.stderr)
+
     def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
         settings = config.evaluation
         policy = greedy_policy(network)

@@ -28,9 +28,11 @@ class TrafficCollector(ABC):
 
     Attributes:
         policy: that drives; what is changed in it counts from the next batch on.
+        places: of every worker, its process and host; empty where there are none.
     """
 
     policy: TensorDictModuleBase
+    places: Sequence[str] = ()
 
     @abstractmethod
     def next(self) -> TensorDictBase:

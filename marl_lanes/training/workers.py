@@ -102,13 +102,8 @@ class WorkerEnv(LaneChangeEnv):
 
 
 class _Workers(TrafficCollector):
-    """What a TorchRL collector of several processes does for us.
+    """What a TorchRL collector of several processes does for us."""
 
-    Attributes:
-        places: of every worker, its process and host.
-    """
-
-    places: list[str]
     _collector: Any
     _batches: Iterator[TensorDictBase]
 
@@ -152,10 +147,9 @@ class _Workers(TrafficCollector):
             dead = self._find_dead(error)
             if not dead:
                 raise
-            places = getattr(self, "places", None)
             names = [
                 f"worker {index} of {self.num_workers}"
-                + (f" ({places[index]})" if places else " (at its start)")
+                + (f" ({self.places[index]})" if self.places else " (at its start)")
                 + (f" {how}" if how else "")
                 for index, how in dead.items()
             ]

@@ -1,0 +1,76 @@
+"""The training program with workers: the same run on processes and on Ray; a worker's death."""
+
+import importlib.util
+import os
+import re
+import signal
+import time
+
+import pytest
+from test_naf_train import TINY, assert_same_weights, run_program, start, weights
+
+from marl_lanes.training.resume import read_state
+
+TABLES = ("metrics.csv", "maneuvers.csv", "evaluations.csv")
+OPTIONS = [*TINY, "num_workers=2", "output=run"]
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """A run with two processes."""
+    folder = tmp_path_factory.mktemp("multi")
+    code, _, err = run_program(*OPTIONS, "collector=multi", folder=folder)
+    assert code == 0, err[-3000:]
+    return folder / "run", err
+
+
+def assert_same_run(one, other):
+    assert_same_weights(weights(one), weights(other))
+    for name in TABLES:
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+
+
+def worker_ids(err):
+    return [int(pid) for pid in re.findall(r"worker \d: process (\d+) on ", err)]
+
+
+def test_a_run_names_its_workers(reference):
+    _, err = reference
+    assert len(set(worker_ids(err))) == 2
+
+
+def test_a_death_stops_the_run_which_can_go_on(reference, tmp_path):
+    run, _ = reference
+    process = start(*OPTIONS, "collector=multi", folder=tmp_path)
+    said = ""
+    while len(worker_ids(said)) < 2:
+        line = process.stderr.readline()
+        assert line, said
+        said += line
+    evaluations = tmp_path / "run" / "evaluations.csv"
+    while len(evaluations.read_bytes().splitlines()) < 2 and process.poll() is None:
+        time.sleep(0.01)
+    pid = worker_ids(said)[1]
+    os.kill(pid, signal.SIGKILL)
+    out, err = process.communicate(timeout=200)
+    assert process.returncode == 1, err[-3000:]
+    assert f"error: died: worker 1 of 2 (process {pid} on " in err
+    assert "by SIGKILL; continue from the last saved model: resume=run" in err
+    assert "final.pt" not in out
+    counters = read_state(tmp_path / "run" / "resume.pt")["counters"]
+    assert 0 <= counters["transitions"] < 500
+    code, _, err = run_program("resume=run", folder=tmp_path)
+    assert code == 0, err[-3000:]
+    assert_same_run(run, tmp_path / "run")
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("ray") is None, reason="Ray is not installed (extra ray)"
+)
+def test_a_ray_cluster_of_two_nodes_makes_the_same_run(reference, two_nodes, tmp_path):
+    run, _ = reference
+    address = f"ray.address={two_nodes}"
+    code, _, err = run_program(*OPTIONS, "collector=ray", address, folder=tmp_path)
+    assert code == 0, err[-3000:]
+    assert len(set(worker_ids(err))) == 2
+    assert_same_run(run, tmp_path / "run")
