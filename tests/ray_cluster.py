@@ -1,4 +1,4 @@
-"""A Ray cluster of two nodes with a CPU each, on loopback."""
+"""A Ray cluster of two nodes with a CPU each, on this machine's own address."""
 
 import os
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ def two_nodes():
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     from ray.cluster_utils import Cluster
 
-    node = {"num_cpus": 1, "object_store_memory": 80 * 2**20, "node_ip_address": "127.0.0.1"}
+    node = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
     cluster = Cluster(initialize_head=True, head_node_args={**node, "include_dashboard": False})
     try:
         cluster.add_node(**node)

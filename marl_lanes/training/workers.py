@@ -16,6 +16,7 @@ import threading
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import connection
 from typing import Any, cast
 
@@ -39,21 +40,6 @@ from marl_lanes.training.collectors import (
     take_roads,
 )
 from marl_lanes.training.config import ConfigError, DistributedCollectorConfig
-
-
-def choose_collector(
-    config: DistributedCollectorConfig, num_workers: int, ray_address: str | None
-) -> MakeCollector:
-    """What makes the collector that is configured."""
-
-    def make(env: LaneChangeEnv, policy: TensorDictModuleBase, num_steps: int) -> TrafficCollector:
-        if config.kind == "multi":
-            return ProcessCollector(env, policy, num_steps, num_workers)
-        if config.kind == "ray":
-            return RayTrafficCollector(env, policy, num_steps, num_workers, ray_address)
-        return LocalCollector(env, policy, num_steps)
-
-    return make
 
 
 class WorkerEnv(LaneChangeEnv):
@@ -101,7 +87,7 @@ class WorkerEnv(LaneChangeEnv):
         torch.set_rng_state(state["random"])
 
 
-class _Workers(TrafficCollector):
+class Workers(TrafficCollector):
     """What a TorchRL collector of several processes does for us."""
 
     _collector: Any
@@ -114,7 +100,7 @@ class _Workers(TrafficCollector):
     def _begin(self) -> None:
         with self._watched():
             self.places = self._collector.map_fn("env.place")
-            self._batches = iter(self._collector)
+        self._batches = iter(self._collector)
 
     def next(self) -> TensorDictBase:
         """Send the policy, and gather what each worker does with it, (N, E/N, T)."""
@@ -160,7 +146,7 @@ class _Workers(TrafficCollector):
         """The workers that died first, by index, and how."""
 
 
-class ProcessCollector(_Workers):
+class ProcessCollector(Workers):
     """Collects in processes of this machine, with TorchRL's MultiCollector.
 
     Args:
@@ -227,7 +213,7 @@ class ProcessCollector(_Workers):
         }
 
 
-class RayTrafficCollector(_Workers):
+class RayTrafficCollector(Workers):
     """Collects on a Ray cluster, one CPU a worker, with TorchRL's RayCollector.
 
     Args:
@@ -260,6 +246,7 @@ class RayTrafficCollector(_Workers):
 
         self._ray = ray
         self._owns_ray = not ray.is_initialized()
+        _check_address(address)
         if self._owns_ray:
             try:
                 ray.init(address=address, logging_level=logging.WARNING, log_to_driver=False)
@@ -317,6 +304,30 @@ class RayTrafficCollector(_Workers):
             except self._ray.exceptions.GetTimeoutError:
                 continue
         return dead
+
+
+def choose_collector(
+    config: DistributedCollectorConfig, num_workers: int, ray_address: str | None
+) -> MakeCollector:
+    """What makes the collector that is configured."""
+    if config.kind == "multi":
+        return partial(ProcessCollector, num_workers=num_workers)
+    if config.kind == "ray":
+        return partial(RayTrafficCollector, num_workers=num_workers, address=ray_address)
+    return LocalCollector
+
+
+def _check_address(address: str | None) -> None:
+    """Refuse an address where nobody listens: Ray would try for minutes."""
+    if address in {None, "auto", "local"}:
+        return
+    host, _, port = str(address).rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=5.0).close()
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"ray.address = {address!r}: must be auto, local or a Ray cluster's HOST:PORT: {error}"
+        ) from None
 
 
 def _worker_envs(env: LaneChangeEnv, num_workers: int) -> list[Callable[[], WorkerEnv]]:

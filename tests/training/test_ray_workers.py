@@ -50,7 +50,7 @@ def test_too_many_workers_are_refused(two_nodes):
 
 def test_a_cluster_that_is_not_there():
     with pytest.raises(
-        ConfigError, match=r"ray\.address = '127\.0\.0\.1:9': must be a Ray cluster"
+        ConfigError, match=r"ray\.address = '127\.0\.0\.1:9': must be auto, local or a Ray"
     ):
         make(RayTrafficCollector, 1, "127.0.0.1:9")
 
