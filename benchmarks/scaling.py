@@ -1,8 +1,9 @@
 """What each part of a training costs, with workers and without, and what 1,000 cores would do.
 
-python benchmarks/scaling.py [--rounds N] [--workers N] [--ray] [--replay N] [--json FILE]
+python benchmarks/scaling.py [--recipe NAME] [--rounds N] [--workers N] [--ray] [--replay N]
+    [--json FILE]
 
-Recipe fast. The collectors take turns (A B C A B C ...); a figure is the median of the rounds.
+The collectors take turns (A B C A B C ...); a figure is the median of the rounds.
 --ray starts a Ray cluster of two nodes on loopback. --replay N fills a replay buffer of N
 transitions in memory and one in files. The plan multiplies the measured figures; nothing in it is
 measured on 1,000 cores.
@@ -14,7 +15,7 @@ import os
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -132,31 +133,40 @@ def two_nodes() -> Iterator[str]:
         cluster.shutdown()  # type: ignore[no-untyped-call]
 
 
-def measure_collectors(collectors: dict[str, TrafficCollector], rounds: int) -> dict[str, Figures]:
-    """Transitions a second of each, in turn, and the seconds that sending the policy takes."""
-    rates: dict[str, list[float]] = {name: [] for name in collectors}
+def measure_collectors(
+    collectors: Mapping[str, TrafficCollector], rounds: int
+) -> dict[str, Figures]:
+    """Time steps of roads a second of each, in turn, and the time that sending the policy takes.
+
+    How many agents act differs from road to road: transitions a second are those of the mean over
+    all collectors.
+    """
+    steps: dict[str, list[float]] = {name: [] for name in collectors}
     sending: dict[str, list[float]] = {name: [] for name in collectors}
-    batches: dict[str, list[float]] = {name: [] for name in collectors}
+    num_steps = num_transitions = 0
     for _ in range(rounds):
         for name, collector in collectors.items():
-            start, number = time.perf_counter(), 0
-            for _ in range(10):
-                number += int(collector.next()["changers", "acting"].sum())
+            start = time.perf_counter()
+            batches = [collector.next() for _ in range(10)]
             elapsed = time.perf_counter() - start
-            rates[name].append(number / elapsed)
-            batches[name].append(elapsed / 10)
+            number = sum(batch.numel() for batch in batches)
+            steps[name].append(number / elapsed)
+            num_steps += number
+            num_transitions += sum(int(batch["changers", "acting"].sum()) for batch in batches)
             if isinstance(collector, Workers):
-                sending[name].append(
-                    statistics.median(seconds(collector.send_policy) for _ in range(5))
-                )
-    return {
-        name: {
-            "transitions_per_second": statistics.median(rates[name]),
-            "batch_milliseconds": 1e3 * statistics.median(batches[name]),
-            "send_policy_milliseconds": 1e3 * statistics.median(sending[name] or [0.0]),
+                sending[name] += [seconds(collector.send_policy) for _ in range(5)]
+    single = statistics.median(steps["single"])
+    result = {}
+    for name in collectors:
+        rate = statistics.median(steps[name])
+        result[name] = {
+            "road_steps_per_second": rate,
+            "ratio_to_single": rate / single,
+            "transitions_per_second": rate * num_transitions / num_steps,
         }
-        for name in collectors
-    }
+        if sending[name]:
+            result[name]["send_policy_milliseconds"] = 1e3 * statistics.median(sending[name])
+    return result
 
 
 def measure_replay(learner: Learner, capacity: int, folder: Path) -> dict[str, Figures]:
@@ -189,11 +199,10 @@ def measure_replay(learner: Learner, capacity: int, folder: Path) -> dict[str, F
 
 
 def plan(config: TrainingConfig, found: dict[str, Any], kind: str) -> Figures:
-    """What CORES would do, one learner among them, by multiplying what was measured."""
+    """What CORES would do, by multiplying what was measured; ``kind`` sends the policy."""
     memory, learner, collectors = found["memory"], found["learner"], found["collectors"]
     workers = collectors[kind]
-    # A worker's share of the rate, with all that the workers cost.
-    core = workers["transitions_per_second"] / workers["num_workers"]
+    core = collectors["multi, 1 worker"]["transitions_per_second"]
     capacity = learner["learner_transitions_per_second"]
     collected = CORES * core
     store = learner["store_microseconds_per_transition"] * 1e-6
@@ -240,6 +249,7 @@ def show(title: str, figures: Figures) -> None:
 def main() -> None:
     """Measure, print, write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--recipe", default="fast", help="of agents/naf (default: fast)")
     parser.add_argument("--rounds", type=int, default=5, help="turns of each (default: 5)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
     parser.add_argument("--ray", action="store_true", help="a Ray cluster of two nodes as well")
@@ -247,7 +257,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures to this file as well")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    config = read_recipe("fast")
+    config = read_recipe(options.recipe)
     found: dict[str, Any] = {}
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=".")))
@@ -281,7 +291,7 @@ def main() -> None:
         for name, figures in found["replay"].items():
             show(f"replay.storage={name}", figures)
         found["plan"] = plan(config, found, list(makers)[-1])
-        show(f"plan for {CORES} cores, from {list(makers)[-1]}", found["plan"])
+        show(f"plan for {CORES} cores; the policy is sent as in {list(makers)[-1]}", found["plan"])
     if options.json is not None:
         options.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
 

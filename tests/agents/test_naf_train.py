@@ -4,16 +4,13 @@ import csv
 import dataclasses
 import importlib.util
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
+from naf_program import PROGRAM, TINY, assert_same_weights, run_program, start, weights
 from omegaconf import OmegaConf
 
 from marl_lanes import load_scenario
@@ -27,21 +24,6 @@ from marl_lanes.training.checkpoint import (
 )
 from marl_lanes.training.config import TrainingConfig, read_config
 
-PROGRAM = Path(__file__).parents[2] / "agents" / "naf" / "train.py"
-TINY = [
-    "num_threads=1",
-    "network.hidden_sizes=[8]",
-    "collector.num_envs=32",
-    "collector.steps_per_batch=4",
-    "collector.total_transitions=500",
-    "replay.warmup_transitions=64",
-    "replay.batch_size=16",
-    "optimizer.transitions_per_update=1",
-    "optimizer.pretraining_transitions=200",
-    "evaluation.save_interval=150",
-    "evaluation.num_maneuvers=2",
-    "evaluation.final_num_maneuvers=3",
-]
 PAPER = load_scenario("paper")
 collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
@@ -50,37 +32,9 @@ PNG = b"\x89PNG\r\n\x1a\n"
 FIGURES = {"loss.png", "returns.png", "saved_models.png", "first_and_last.png"}
 
 
-def start(*options, folder):
-    return subprocess.Popen(
-        [sys.executable, str(PROGRAM), *options],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        start_new_session=True,
-    )
-
-
-def run_program(*options, folder):
-    process = start(*options, folder=folder)
-    out, err = process.communicate(timeout=200)
-    return process.returncode, out, err
-
-
 def rows(path):
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
-
-
-def weights(run, name="final.pt"):
-    return torch.load(run / "checkpoints" / name, weights_only=True)["weights"]
-
-
-def assert_same_weights(one, other):
-    assert one.keys() == other.keys()
-    for key, value in one.items():
-        assert torch.equal(other[key], value), key
 
 
 @pytest.fixture(scope="module")

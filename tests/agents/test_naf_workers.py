@@ -7,7 +7,7 @@ import signal
 import time
 
 import pytest
-from test_naf_train import TINY, assert_same_weights, run_program, start, weights
+from naf_program import TINY, assert_same_weights, run_program, start, weights
 
 from marl_lanes.training.resume import read_state
 
