@@ -207,30 +207,24 @@ def plan(config: TrainingConfig, found: dict[str, Any], kind: str) -> Figures:
     collected = CORES * core
     store = learner["store_microseconds_per_transition"] * 1e-6
     update = learner["update_milliseconds"] * 1e-3
-    # In turns, as this program does it: collect with n cores, then learn.
+    # In turns, as this program does it: n cores collect, then one learns.
     per_run = max(1.0, round(capacity / core))
     in_turn = 1.0 / (1.0 / (per_run * core) + 1.0 / capacity)
-    # Of each second, what storing leaves for updates.
-    spare = 1.0 - collected * store
-    needed = (
-        {"transitions_per_update_to_keep_up": collected * update / spare} if spare > 0.0 else {}
-    )
+    sending = workers["send_policy_milliseconds"] * 1e-3 / workers["num_workers"]
+    num_steps = config.collector.num_envs * config.collector.steps_per_batch
     return {
         "cores": float(CORES),
         "transitions_per_second_of_a_core": core,
         "transitions_per_second_of_all": collected,
-        "megabytes_per_second_to_the_learner": collected
-        * memory["bytes_sent_per_transition"]
-        / 1e6,
+        "megabytes_per_second_sent": collected * memory["bytes_sent_per_transition"] / 1e6,
         "cores_that_saturate_a_learner": capacity / core,
         "transitions_per_second_of_such_a_run": in_turn,
         "such_runs_on_all_cores": CORES / (per_run + 1.0),
-        "learners_that_store_it_all": collected * store,
-        **needed,
-        "send_policy_seconds_to_all": workers["send_policy_milliseconds"]
-        * 1e-3
-        / workers["num_workers"]
-        * CORES,
+        "cores_that_storing_alone_saturates": 1.0 / (core * store),
+        "transitions_per_update_that_cost_an_update": update / store,
+        "send_policy_seconds_to_all": sending * CORES,
+        "batch_seconds_of_a_core": num_steps
+        / collectors["multi, 1 worker"]["road_steps_per_second"],
         "gigabytes_of_roads": CORES
         * config.collector.num_envs
         * memory["bytes_per_environment"]

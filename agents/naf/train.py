@@ -42,10 +42,7 @@ register("training_schema", TrainingConfig)
 def main(given: DictConfig) -> None:
     """Train, evaluate, report."""
     try:
-        config = read_config(given, TrainingConfig)
-        if config.collector.kind == "ray" and given.ray.address is not None:
-            # The cluster may be another one when a run goes on.
-            config.ray.address = given.ray.address
+        config = read(given)
         learner, scenario = start(config)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
@@ -73,6 +70,14 @@ def main(given: DictConfig) -> None:
     print(f"run folder: {learner.run.path}")
     for name, value in {**learner.seconds, **learner.memory, **summary}.items():
         print(f"  {name}: {value:.4g}" if isinstance(value, float) else f"  {name}: {value}")
+
+
+def read(given: DictConfig) -> TrainingConfig:
+    """The configuration; the cluster may be another one when a run goes on."""
+    config = read_config(given, TrainingConfig)
+    if given.ray.address is not None:
+        config.ray.address = given.ray.address
+    return config
 
 
 def start(config: TrainingConfig) -> tuple[Learner, Scenario]:

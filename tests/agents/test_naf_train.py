@@ -22,7 +22,7 @@ from marl_lanes.training.checkpoint import (
     make_network,
     save_checkpoint,
 )
-from marl_lanes.training.config import TrainingConfig, read_config
+from marl_lanes.training.config import TrainingConfig, read_config, write_config
 
 PAPER = load_scenario("paper")
 collector_warnings = pytest.mark.filterwarnings(
@@ -233,6 +233,16 @@ def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, o
         program.start(read_config(given(*options), TrainingConfig))
     assert len(str(caught.value).splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = program.read(given("collector=ray", "num_workers=2", "ray.address=10.0.0.1:1"))
+    assert config.ray.address == "10.0.0.1:1"
+    write_config(tmp_path / "run" / "config.yaml", config)
+    again = program.read(given("resume=run", "ray.address=10.0.0.2:2", "num_workers=7"))
+    assert (again.ray.address, again.num_workers) == ("10.0.0.2:2", 2)
+    assert program.read(given("resume=run")).ray.address == "10.0.0.1:1"
 
 
 @collector_warnings

@@ -39,26 +39,38 @@ def test_a_run_names_its_workers(reference):
     assert len(set(worker_ids(err))) == 2
 
 
-def test_a_death_stops_the_run_which_can_go_on(reference, tmp_path):
-    run, _ = reference
-    process = start(*OPTIONS, "collector=multi", folder=tmp_path)
+def started(*options, folder, num_models):
+    """The program once it has saved models, and the workers' process ids."""
+    process = start(*options, folder=folder)
     said = ""
     while len(worker_ids(said)) < 2:
         line = process.stderr.readline()
         assert line, said
         said += line
-    evaluations = tmp_path / "run" / "evaluations.csv"
-    while len(evaluations.read_bytes().splitlines()) < 2 and process.poll() is None:
+    evaluations = folder / "run" / "evaluations.csv"
+    while len(evaluations.read_bytes().splitlines()) <= num_models and process.poll() is None:
         time.sleep(0.01)
-    pid = worker_ids(said)[1]
+    return process, worker_ids(said)
+
+
+def test_interruptions_and_deaths_change_nothing(reference, tmp_path):
+    run, _ = reference
+    process, _ = started(*OPTIONS, "collector=multi", folder=tmp_path, num_models=1)
+    # As Ctrl-C in a terminal: the workers receive it as well.
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=200)
+    assert process.returncode == 0, err[-3000:]
+    assert "interrupted; continue with resume=run" in out
+
+    process, (_, pid) = started("resume=run", folder=tmp_path, num_models=2)
     os.kill(pid, signal.SIGKILL)
     out, err = process.communicate(timeout=200)
     assert process.returncode == 1, err[-3000:]
     assert f"error: died: worker 1 of 2 (process {pid} on " in err
     assert "by SIGKILL; continue from the last saved model: resume=run" in err
-    assert "final.pt" not in out
-    counters = read_state(tmp_path / "run" / "resume.pt")["counters"]
-    assert 0 <= counters["transitions"] < 500
+    assert not (tmp_path / "run" / "checkpoints" / "final.pt").exists()
+    assert 0 < read_state(tmp_path / "run" / "resume.pt")["counters"]["transitions"] < 500
+
     code, _, err = run_program("resume=run", folder=tmp_path)
     assert code == 0, err[-3000:]
     assert_same_run(run, tmp_path / "run")
