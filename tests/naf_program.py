@@ -24,12 +24,12 @@ TINY = [
 ]
 
 
-def start(*options, folder):
+def start(*options, folder, stderr=subprocess.PIPE):
     return subprocess.Popen(
         [sys.executable, str(PROGRAM), *options],
         cwd=folder,
         stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stderr=stderr,
         text=True,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         start_new_session=True,

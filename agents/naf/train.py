@@ -47,6 +47,16 @@ def main(given: DictConfig) -> None:
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
 
+    try:
+        run(learner, config, scenario)
+    except WorkerError as error:
+        sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
+    finally:
+        learner.close()
+
+
+def run(learner: Learner, config: TrainingConfig, scenario: Scenario) -> None:
+    """Train to the end, or until it is interrupted; report."""
     for index, place in enumerate(learner.collector.places):
         print(f"worker {index}: {place}", file=sys.stderr)
 
@@ -56,17 +66,10 @@ def main(given: DictConfig) -> None:
         maneuvers = run_maneuvers(scenario, policy, settings.num_maneuvers, seed=settings.seed)
         return evaluate(maneuvers, scenario, with_optimum=False)
 
-    try:
-        is_complete = learner.train(evaluate_model)
-    except WorkerError as error:
-        learner.close()
-        sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
-    if not is_complete:
-        learner.close()
+    if not learner.train(evaluate_model):
         print(f"interrupted; continue with resume={learner.run.path}")
         return
     summary = report(learner, config, scenario)
-    learner.close()
     print(f"run folder: {learner.run.path}")
     for name, value in {**learner.seconds, **learner.memory, **summary}.items():
         print(f"  {name}: {value:.4g}" if isinstance(value, float) else f"  {name}: {value}")

@@ -6,6 +6,7 @@ run's seed and w. Collection is synchronous: a batch holds what all workers coll
 policy, in the order of the roads.
 """
 
+import atexit
 import importlib.util
 import logging
 import os
@@ -177,6 +178,8 @@ class ProcessCollector(Workers):
             weight_sync_schemes={"policy": self._scheme},
             auto_register_policy_transforms=False,
         )
+        # Python waits at its end for processes that nobody has ended.
+        atexit.register(self.shutdown)
         self._processes = list(self._collector.procs)
         self._watcher = threading.Thread(target=self._watch, daemon=True)
         self._watcher.start()
@@ -189,6 +192,7 @@ class ProcessCollector(Workers):
 
     def shutdown(self) -> None:
         """End the processes."""
+        atexit.unregister(self.shutdown)
         self._collector.shutdown()
         torch.set_num_threads(self._num_threads)
 

@@ -41,16 +41,19 @@ def test_a_run_names_its_workers(reference):
 
 def started(*options, folder, num_models):
     """The program once it has saved models, and the workers' process ids."""
-    process = start(*options, folder=folder)
-    said = ""
-    while len(worker_ids(said)) < 2:
-        line = process.stderr.readline()
-        assert line, said
-        said += line
+    with (folder / "stderr").open("w", encoding="utf-8") as stderr:
+        process = start(*options, folder=folder, stderr=stderr)
     evaluations = folder / "run" / "evaluations.csv"
-    while len(evaluations.read_bytes().splitlines()) <= num_models and process.poll() is None:
+    while process.poll() is None:
+        has_workers = len(worker_ids(said(folder))) == 2
+        if has_workers and len(evaluations.read_bytes().splitlines()) > num_models:
+            break
         time.sleep(0.01)
-    return process, worker_ids(said)
+    return process, worker_ids(said(folder))
+
+
+def said(folder):
+    return (folder / "stderr").read_text(encoding="utf-8")
 
 
 def test_interruptions_and_deaths_change_nothing(reference, tmp_path):
@@ -58,13 +61,14 @@ def test_interruptions_and_deaths_change_nothing(reference, tmp_path):
     process, _ = started(*OPTIONS, "collector=multi", folder=tmp_path, num_models=1)
     # As Ctrl-C in a terminal: the workers receive it as well.
     os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=200)
-    assert process.returncode == 0, err[-3000:]
+    out, _ = process.communicate(timeout=200)
+    assert process.returncode == 0, said(tmp_path)[-3000:]
     assert "interrupted; continue with resume=run" in out
 
     process, (_, pid) = started("resume=run", folder=tmp_path, num_models=2)
     os.kill(pid, signal.SIGKILL)
-    out, err = process.communicate(timeout=200)
+    process.communicate(timeout=200)
+    err = said(tmp_path)
     assert process.returncode == 1, err[-3000:]
     assert f"error: died: worker 1 of 2 (process {pid} on " in err
     assert "by SIGKILL; continue from the last saved model: resume=run" in err
