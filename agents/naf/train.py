@@ -1,7 +1,8 @@
 """Train the shared NAF policy of all lane changers, evaluate it, write its report.
 
 python agents/naf/train.py [recipe=fast|interactive|paper] [scenario=NAME] [network.mu=NAME]
-    [seed=N] [output=DIR] [initial_checkpoint=FILE] [resume=RUN] [any field of the config]
+    [seed=N] [output=DIR] [initial_checkpoint=FILE] [resume=RUN]
+    [collector=multi|ray num_workers=N [ray.address=HOST:PORT]] [any field of the config]
 """
 
 import sys
@@ -20,6 +21,7 @@ from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
+from marl_lanes.training.collectors import WorkerError
 from marl_lanes.training.config import (
     ConfigError,
     TrainingConfig,
@@ -30,8 +32,9 @@ from marl_lanes.training.config import (
 )
 from marl_lanes.training.files import write_json
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder
+from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, check_empty
 from marl_lanes.training.timing import format_split
+from marl_lanes.training.workers import choose_collector
 
 register("training_schema", TrainingConfig)
 
@@ -40,10 +43,23 @@ register("training_schema", TrainingConfig)
 def main(given: DictConfig) -> None:
     """Train, evaluate, report."""
     try:
-        config = read_config(given, TrainingConfig)
+        config = read(given)
         learner, scenario = start(config)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
+
+    try:
+        run(learner, config, scenario)
+    except WorkerError as error:
+        sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
+    finally:
+        learner.close()
+
+
+def run(learner: Learner, config: TrainingConfig, scenario: Scenario) -> None:
+    """Train to the end, or until it is interrupted; report."""
+    for index, place in enumerate(learner.collector.places):
+        print(f"worker {index}: {place}", file=sys.stderr)
 
     def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
         settings = config.evaluation
@@ -52,15 +68,21 @@ def main(given: DictConfig) -> None:
         return evaluate(maneuvers, scenario, with_optimum=False)
 
     if not learner.train(evaluate_model):
-        learner.close()
         print(f"interrupted; continue with resume={learner.run.path}")
         return
     summary = report(learner, config, scenario)
-    learner.close()
     print(f"run folder: {learner.run.path}")
-    for name, value in {**learner.seconds, **summary}.items():
+    for name, value in {**learner.seconds, **learner.memory, **summary}.items():
         print(f"  {name}: {value:.4g}" if isinstance(value, float) else f"  {name}: {value}")
     print(f"time of the training, without evaluating and saving:\n{format_split(learner.split)}")
+
+
+def read(given: DictConfig) -> TrainingConfig:
+    """The configuration; the cluster may be another one when a run goes on."""
+    config = read_config(given, TrainingConfig)
+    if given.ray.address is not None:
+        config.ray.address = given.ray.address
+    return config
 
 
 def start(config: TrainingConfig) -> tuple[Learner, Scenario]:
@@ -70,18 +92,32 @@ def start(config: TrainingConfig) -> tuple[Learner, Scenario]:
     scenario = load_scenario(config.scenario)
     check_episodes(scenario)
     env = LaneChangeEnv(
-        scenario, config.collector.num_envs, seed=config.seed, overrides=config.training_overrides
+        scenario,
+        config.collector.num_envs // config.num_workers,
+        seed=config.seed,
+        overrides=config.training_overrides,
     )
     if env.scenario.command.probability == 0.0:
         raise ConfigError("training_overrides: command.probability = 0: must be above 0")
     torch.manual_seed(config.seed)
-    learner = Learner(config, env, start_network(config, scenario))
     folder = Path(config.output)
-    if config.resume is not None:
-        learner.resume(folder)
-    else:
-        learner.begin(folder)
-        write_config(learner.run.config, config)
+    if config.resume is None:
+        check_empty(folder)
+    learner = Learner(
+        config,
+        env,
+        start_network(config, scenario),
+        make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
+    )
+    try:
+        if config.resume is not None:
+            learner.resume(folder)
+        else:
+            learner.begin(folder)
+            write_config(learner.run.config, config)
+    except BaseException:
+        learner.collector.shutdown()
+        raise
     return learner, scenario
 
 

@@ -79,6 +79,7 @@ class LaneChangeEnv(EnvBase):
         learned_followers: add the group ``followers``, of the drivers whose disposition is
             ``learned``, or of all where the mix has none of these.
         follower_policies: policies by their name in ``followers.mix``, before registered ones.
+        first_road: index of the first road among the seed's, as for ``Simulator``.
 
     Attributes:
         seconds: wall time so far in its own steps and resets, without TorchRL's work around them.
@@ -102,6 +103,7 @@ class LaneChangeEnv(EnvBase):
         overrides: Mapping[str, Any] | None = None,
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
+        first_road: int = 0,
     ) -> None:
         loaded = load_scenario(scenario, overrides)
         self.simulator = Simulator(
@@ -113,6 +115,7 @@ class LaneChangeEnv(EnvBase):
             follower_policies=find_policies(
                 loaded, follower_policies, has_learner=learned_followers
             ),
+            first_road=first_road,
         )
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.scenario = self.simulator.scenario

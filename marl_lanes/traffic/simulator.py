@@ -38,6 +38,8 @@ class Simulator:
         learned_followers: ``step`` takes the actions of the followers whose disposition is
             ``learned``; where the mix has none, all are.
         follower_policies: policies by their name in ``followers.mix``, before registered ones.
+        first_road: index of the first road among the seed's: two simulators of 4 roads, the second
+            from road 4 on, are one of 8.
 
     Raises:
         ScenarioError: the scenario cannot be, or a follower of its mix has no policy.
@@ -54,11 +56,14 @@ class Simulator:
         overrides: Mapping[str, Any] | None = None,
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
+        first_road: int = 0,
     ) -> None:
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, at least 1")
         if num_threads is not None and num_threads < 1:
             raise ValueError(f"num_threads = {num_threads}: must be at least 1, or None")
+        if not 0 <= first_road < 2**63:
+            raise ValueError(f"first_road = {first_road}: must be at least 0 and below 2^63")
         self.scenario = load_scenario(scenario, overrides)
         if learned_followers and LEARNED not in self.scenario.followers.mix:
             self.scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
@@ -67,6 +72,7 @@ class Simulator:
             self.scenario, follower_policies, has_learner=learned_followers
         )
         self.num_envs = num_envs
+        self.first_road = first_road
         self.num_slots = self.scenario.num_slots
         self.num_actions = self.scenario.action.num_actions
         self.state = allocate(
@@ -90,11 +96,11 @@ class Simulator:
         self.seed(seed)
 
     def seed(self, seed: int) -> None:
-        """Start the random numbers again; road e takes stream e of the seed. Resets nothing."""
+        """Start the random numbers again; a road's stream is its index. Resets nothing."""
         if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**64:
             raise ValueError(f"seed = {seed!r}: must be a whole number, 0 to 2^64 - 1")
         self.state.roads["random_key"] = seed
-        self.state.roads["random_stream"] = np.arange(self.num_envs)
+        self.state.roads["random_stream"] = np.arange(self.num_envs) + self.first_road
         self.state.roads["random_counter"] = 0
 
     def reset(self, mask: ArrayLike | None = None) -> None:
@@ -149,6 +155,12 @@ class Simulator:
                 "would ever be live"
             )
         self._run(SKIP, self._every_road)
+
+    @property
+    def bytes_per_environment(self) -> float:
+        """Memory of one road: its part of the state and of the actions."""
+        arrays = [*self.state.arrays, self._actions, self._follower_actions]
+        return sum(array.nbytes for array in arrays) / self.num_envs
 
     def snapshot(self) -> bytes:
         """Every byte of the roads, to go on from later with ``restore``."""

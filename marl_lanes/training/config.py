@@ -28,11 +28,21 @@ class CollectorConfig:
 
 
 @dataclass
+class DistributedCollectorConfig(CollectorConfig):
+    """Where they are collected, too."""
+
+    kind: str = MISSING
+    """single: in this process; multi: in processes of this machine; ray: on a Ray cluster."""
+
+
+@dataclass
 class ReplayConfig:
     """What the updates are drawn from."""
 
     capacity: int = MISSING
     """Newest transitions kept."""
+    storage: str = MISSING
+    """memory, or memmap: files in the run folder."""
     batch_size: int = MISSING
     """Transitions an update."""
     warmup_transitions: int = MISSING
@@ -140,9 +150,21 @@ class NetworkConfig:
 
 
 @dataclass
+class RayConfig:
+    """The Ray cluster, where there is one."""
+
+    address: str | None = None
+    """HOST:PORT; null: RAY_ADDRESS, else the cluster of this machine, else a new one on it."""
+
+
+@dataclass
 class TrainingConfig(LearnerConfig, ProgramConfig):
     """Everything that defines a run of agents/naf/train.py."""
 
+    collector: DistributedCollectorConfig = field(default_factory=DistributedCollectorConfig)
+    num_workers: int = MISSING
+    """Processes that collect, with collector=multi or ray; each has its share of num_envs."""
+    ray: RayConfig = field(default_factory=RayConfig)
     recipe: str = MISSING
     """The recipe's name."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
@@ -194,6 +216,25 @@ def check(config: TrainingConfig) -> None:
     check_program(config)
     check_learner(config)
     check_widths("network.hidden_sizes", config.network.hidden_sizes)
+    check_workers(config)
+
+
+def check_workers(config: TrainingConfig) -> None:
+    """What ``check`` says of where transitions are collected."""
+    kind, number = config.collector.kind, config.num_workers
+    require(kind in {"single", "multi", "ray"}, "collector.kind", kind, "single, multi, ray")
+    require(number >= 1, "num_workers", number, "at least 1")
+    if kind == "single":
+        require(number == 1, "num_workers", number, "1 with collector=single")
+    if kind != "ray":
+        require(config.ray.address is None, "ray.address", config.ray.address, "null without ray")
+    num_envs = config.collector.num_envs
+    require(
+        num_envs % number == 0,
+        "collector.num_envs",
+        num_envs,
+        f"a multiple of num_workers = {number}",
+    )
 
 
 def check_program(config: ProgramConfig) -> None:
@@ -241,6 +282,8 @@ def check_learner(config: LearnerConfig, prefix: str = "") -> None:
     for name, number in positive.items():
         require(0 < number < inf, prefix + name, number, "above 0 and finite")
     _check_seed(prefix + "evaluation.seed", config.evaluation.seed)
+    storage = config.replay.storage
+    require(storage in {"memory", "memmap"}, prefix + "replay.storage", storage, "memory, memmap")
     loss, exploration = config.loss, config.exploration
     require(0.0 <= loss.gamma <= 1.0, prefix + "loss.gamma", loss.gamma, "between 0 and 1")
     require(0.0 < loss.tau <= 1.0, prefix + "loss.tau", loss.tau, "above 0 and at most 1")

@@ -1,12 +1,13 @@
 """One group's learning: what it is made of, how far it is, and the loop."""
 
+import shutil
 import signal
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,8 +15,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_
-from torchrl.collectors import Collector
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import TensorDictReplayBuffer
 from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import HardUpdate
 from tqdm import tqdm
@@ -25,10 +25,19 @@ from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.naf.updater import ForeachSoftUpdate
 from marl_lanes.training.checkpoint import save_checkpoint
+from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
 from marl_lanes.training.files import write_json
+from marl_lanes.training.replay import make_replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
-from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, STATE_FILE, RunFolder
+from marl_lanes.training.run_folder import (
+    EVALUATED,
+    FINAL_MODEL,
+    REPLAY_FOLDER,
+    STATE_FILE,
+    RunFolder,
+    check_empty,
+)
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
 from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
 
@@ -46,14 +55,17 @@ class Learner:
 
     Args:
         config: how it learns.
-        env: that it collects in; its state is part of the training state.
+        env: that it collects in, or the pattern of the workers' environments.
         network: of the group; changed in place. Random numbers are torch's own: seed them before.
         group: whose network it is.
         others: policies of other groups, modules that write their actions.
         evaluated: the metrics in the table of the saved models.
+        make_collector: in this process, or in others. What it collects in is part of the training
+            state.
     """
 
     run: RunFolder
+    replay: TensorDictReplayBuffer
 
     def __init__(
         self,
@@ -64,6 +76,7 @@ class Learner:
         group: str = GROUP,
         others: Sequence[TensorDictModuleBase] = (),
         evaluated: Sequence[str] = EVALUATED,
+        make_collector: MakeCollector = LocalCollector,
     ) -> None:
         self.config = config
         self.env = env
@@ -90,7 +103,6 @@ class Learner:
         )
         self.parameters = list(network.parameters())
         self.compute_loss = torch.compile(self.loss) if config.optimizer.compile else self.loss
-        self.replay = TensorDictReplayBuffer(storage=LazyTensorStorage(config.replay.capacity))
         self.noise = AdditiveGaussianModule(
             spec=env.full_action_spec,
             action_key=(group, "action"),
@@ -102,14 +114,7 @@ class Learner:
         self.noise.std[1:] *= config.exploration.longitudinal_factor
         policy = LivePolicy(network.policy().module, network.action_dim, group)
         self.policy = TimedPolicy(*others, policy, self.noise)
-        self.collector = Collector(
-            env,
-            self.policy,
-            frames_per_batch=config.collector.num_envs * config.collector.steps_per_batch,
-            total_frames=-1,
-            track_traj_ids=False,
-            auto_register_policy_transforms=False,
-        )
+        self.collector = make_collector(env, self.policy, config.collector.steps_per_batch)
         self.counters = defaultdict[str, float](float)
         """transitions, updates, saved (models), and seconds by activity."""
 
@@ -128,12 +133,32 @@ class Learner:
         """Time for each transition by activity, evaluations and saving left out."""
         return split_time(self.counters, self.transitions)
 
+    @property
+    def memory(self) -> dict[str, float]:
+        """Bytes of an environment and of a transition in the replay buffer."""
+        # A step that is not taken has the form of one.
+        step = self.env.fake_tensordict()
+        step[self.group, "acting"] = torch.ones_like(step[self.group, "acting"])
+        row = live_transitions(step, self.group)[:1]
+        # The buffer adds the row's index.
+        index = torch.int64.itemsize
+        return {
+            "bytes_per_environment": self.env.simulator.bytes_per_environment,
+            "bytes_per_stored_transition": row.bytes() + index,
+        }
+
+    def _make_replay(self, folder: Path) -> TensorDictReplayBuffer:
+        size = self.memory["bytes_per_stored_transition"]
+        return make_replay(self.config.replay, folder / REPLAY_FOLDER, size)
+
     def begin(self, folder: Path) -> None:
         """Start in a new or empty folder.
 
         Raises:
-            ConfigError: it holds something.
+            ConfigError: it holds something, or its disk is too small for the replay buffer.
         """
+        check_empty(folder)
+        self.replay = self._make_replay(folder)
         self.run = RunFolder(folder, evaluated=self.evaluated)
         self.save()
 
@@ -145,11 +170,14 @@ class Learner:
         """
         content = read_state(folder / STATE_FILE)
         self.counters.update(content["counters"])
+        self.replay = self._make_replay(folder)
         restore_state(
-            content, loss=self.loss, optimizer=self.optimizer, replay=self.replay, env=self.env
+            content,
+            loss=self.loss,
+            optimizer=self.optimizer,
+            replay=self.replay,
+            collector=self.collector,
         )
-        # It has looked at its environment when it was built; let it look again.
-        self.collector.reset()
         self.run = RunFolder(folder, until=self.transitions, evaluated=self.evaluated)
 
     def save(self) -> None:
@@ -160,7 +188,7 @@ class Learner:
             loss=self.loss,
             optimizer=self.optimizer,
             replay=self.replay,
-            env=self.env,
+            collector=self.collector,
         )
 
     @contextmanager
@@ -170,11 +198,12 @@ class Learner:
         yield
         self.counters[f"seconds_{activity}"] += time.perf_counter() - start
 
-    def collect(self, batches: Iterator[TensorDictBase]) -> TensorDictBase:
+    def collect(self) -> TensorDictBase:
         """The next batch of steps."""
         simulating, acting = self.env.seconds, self.policy.seconds
-        with self.timed("collecting"):
-            batch = next(batches)
+        # Of workers it is known only how long they take together.
+        with self.timed("waiting" if self.collector.places else "collecting"):
+            batch = self.collector.next()
         self.counters["seconds_simulating"] += self.env.seconds - simulating
         self.counters["seconds_acting"] += self.policy.seconds - acting
         return batch
@@ -276,10 +305,12 @@ class Learner:
 
         Returns:
             whether the training is over; False when it was interrupted.
+
+        Raises:
+            WorkerError: a worker has died; the training state is the last one that was written.
         """
         total = self.config.collector.total_transitions
         interval = self.config.evaluation.save_interval
-        batches = cast("Iterator[TensorDictBase]", iter(self.collector))
         with (
             _interruptions() as interrupted,
             tqdm(
@@ -290,7 +321,7 @@ class Learner:
                 before = self.transitions
                 with self.timed("training"):
                     self.anneal()
-                    self.learn(self.collect(batches))
+                    self.learn(self.collect())
                     bar.update(self.transitions - before)
                 if self.transitions // interval > before // interval:
                     with self.timed("evaluating"):
@@ -305,9 +336,10 @@ class Learner:
         return True
 
     def close(self) -> None:
-        """Release the collector and the logs."""
+        """Release the collector, the logs, and the files of the replay buffer."""
         self.collector.shutdown()
         self.run.close()
+        shutil.rmtree(self.run.path / REPLAY_FOLDER, ignore_errors=True)
 
 
 @contextmanager

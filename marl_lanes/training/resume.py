@@ -9,11 +9,11 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.data import TensorDictReplayBuffer
 
-from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.naf.checkpoint import CheckpointError
+from marl_lanes.training.collectors import TrafficCollector
 from marl_lanes.training.files import write_atomically
 
-_FORMAT = "marl-lanes training state 1"
+_FORMAT = "marl-lanes training state 2"
 
 
 def save_state(
@@ -23,18 +23,23 @@ def save_state(
     loss: nn.Module,
     optimizer: torch.optim.Optimizer,
     replay: TensorDictReplayBuffer,
-    env: LaneChangeEnv,
+    collector: TrafficCollector,
 ) -> None:
-    """Write networks, optimiser, replay buffer, roads, random numbers and counters."""
-    stored = replay[:] if len(replay) else None
+    """Write networks, optimiser, replay buffer, roads, random numbers and counters.
+
+    Raises:
+        WorkerError: a worker has died; the file is the one that it was.
+    """
+    stored = replay[:].flatten_keys(".") if len(replay) else {}
     content = {
         "format": _FORMAT,
         "counters": counters,
         "loss": loss.state_dict(),
         "optimizer": optimizer.state_dict(),
-        "replay": None if stored is None else dict(stored.flatten_keys(".").items()),
+        # Plain tensors, of files as well: they are written as they are, without a copy in memory.
+        "replay": {key: value.as_subclass(torch.Tensor) for key, value in stored.items()},
         "cursor": replay.writer._cursor,
-        "roads": torch.frombuffer(bytearray(env.simulator.snapshot()), dtype=torch.uint8),
+        "workers": collector.state(),
         "random": torch.get_rng_state(),
     }
     write_atomically(path, lambda temporary: torch.save(content, temporary))
@@ -47,7 +52,8 @@ def read_state(path: Path) -> dict[str, Any]:
         CheckpointError: the file is missing, not readable, or of another form.
     """
     try:
-        content: Any = torch.load(path, map_location="cpu", weights_only=True)
+        # Mapped: a replay buffer of files need not fit in memory.
+        content: Any = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
     except OSError as error:
         raise CheckpointError(f"training state {path}: cannot be read: {error}") from None
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError) as error:
@@ -64,15 +70,19 @@ def restore_state(
     loss: nn.Module,
     optimizer: torch.optim.Optimizer,
     replay: TensorDictReplayBuffer,
-    env: LaneChangeEnv,
+    collector: TrafficCollector,
 ) -> None:
-    """Put everything back; the random numbers last, for building the others draws some."""
+    """Put everything back; the random numbers last, for building the others draws some.
+
+    Raises:
+        ValueError: the collector has other workers or roads.
+    """
+    collector.restore(content["workers"])
     loss.load_state_dict(content["loss"])
     optimizer.load_state_dict(content["optimizer"])
-    if content["replay"] is not None:
-        flat = content["replay"]
+    flat = content["replay"]
+    if flat:
         size = next(iter(flat.values())).shape[0]
         replay.extend(TensorDict(flat, [size]).unflatten_keys("."))
     replay.writer._cursor = content["cursor"]
-    env.restore(content["roads"].numpy().tobytes())
     torch.set_rng_state(content["random"])

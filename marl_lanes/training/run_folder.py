@@ -18,6 +18,9 @@ FINAL_MODEL = "final.pt"
 STATE_FILE = "resume.pt"
 """File name of the training state."""
 
+REPLAY_FOLDER = "replay"
+"""Folder of the replay buffer's files while a training runs."""
+
 TIMES_FILE = "training.json"
 """File name of the seconds that the training took; it is there when the training is over."""
 

@@ -8,12 +8,13 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 
 ACTIVITIES = {
+    "wait": "seconds_waiting",
     "simulate": "seconds_simulating",
     "act": "seconds_acting",
     "store": "seconds_storing",
     "learn": "seconds_learning",
 }
-"""What a training is for, and the counters of it."""
+"""What a training is for, and the counters of it; it waits for workers, where it has some."""
 
 OTHER = "other"
 """The rest: the collector's own work, logging, the progress bar."""

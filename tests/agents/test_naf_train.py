@@ -4,16 +4,13 @@ import csv
 import dataclasses
 import importlib.util
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
+from naf_program import PROGRAM, TINY, assert_same_weights, run_program, start, weights
 from omegaconf import OmegaConf
 
 from marl_lanes import load_scenario
@@ -25,23 +22,8 @@ from marl_lanes.training.checkpoint import (
     make_network,
     save_checkpoint,
 )
-from marl_lanes.training.config import TrainingConfig, read_config
+from marl_lanes.training.config import TrainingConfig, read_config, write_config
 
-PROGRAM = Path(__file__).parents[2] / "agents" / "naf" / "train.py"
-TINY = [
-    "num_threads=1",
-    "network.hidden_sizes=[8]",
-    "collector.num_envs=32",
-    "collector.steps_per_batch=4",
-    "collector.total_transitions=500",
-    "replay.warmup_transitions=64",
-    "replay.batch_size=16",
-    "optimizer.transitions_per_update=1",
-    "optimizer.pretraining_transitions=200",
-    "evaluation.save_interval=150",
-    "evaluation.num_maneuvers=2",
-    "evaluation.final_num_maneuvers=3",
-]
 PAPER = load_scenario("paper")
 collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
@@ -50,37 +32,9 @@ PNG = b"\x89PNG\r\n\x1a\n"
 FIGURES = {"loss.png", "returns.png", "saved_models.png", "first_and_last.png"}
 
 
-def start(*options, folder):
-    return subprocess.Popen(
-        [sys.executable, str(PROGRAM), *options],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        start_new_session=True,
-    )
-
-
-def run_program(*options, folder):
-    process = start(*options, folder=folder)
-    out, err = process.communicate(timeout=200)
-    return process.returncode, out, err
-
-
 def rows(path):
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
-
-
-def weights(run, name="final.pt"):
-    return torch.load(run / "checkpoints" / name, weights_only=True)["weights"]
-
-
-def assert_same_weights(one, other):
-    assert one.keys() == other.keys()
-    for key, value in one.items():
-        assert torch.equal(other[key], value), key
 
 
 @pytest.fixture(scope="module")
@@ -279,6 +233,16 @@ def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, o
         program.start(read_config(given(*options), TrainingConfig))
     assert len(str(caught.value).splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = program.read(given("collector=ray", "num_workers=2", "ray.address=10.0.0.1:1"))
+    assert config.ray.address == "10.0.0.1:1"
+    write_config(tmp_path / "run" / "config.yaml", config)
+    again = program.read(given("resume=run", "ray.address=10.0.0.2:2", "num_workers=7"))
+    assert (again.ray.address, again.num_workers) == ("10.0.0.2:2", 2)
+    assert program.read(given("resume=run")).ray.address == "10.0.0.1:1"
 
 
 @collector_warnings

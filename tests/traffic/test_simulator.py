@@ -197,6 +197,7 @@ def test_a_second_action_must_be_finite_while_its_agent_waits():
     [
         ({"num_envs": 0}, "num_envs = 0: must be a whole number, at least 1"),
         ({"num_threads": 0}, "num_threads = 0: must be at least 1"),
+        ({"first_road": -1}, "first_road = -1: must be at least 0"),
         ({"seed": -1}, "seed = -1: must be a whole number, 0 to"),
         ({"seed": 2**64}, "seed = 18446744073709551616: must be a whole number, 0 to"),
     ],

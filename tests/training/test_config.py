@@ -125,7 +125,10 @@ BAD = [
     ("collector.steps_per_batch", 0),
     ("collector.total_transitions", 0),
     ("collector.total_transitions", -5),
+    ("collector.kind", "cloud"),
+    ("num_workers", 0),
     ("replay.capacity", 0),
+    ("replay.storage", "tape"),
     ("replay.batch_size", 0),
     ("replay.warmup_transitions", -1),
     ("loss.gamma", -0.1),
@@ -179,7 +182,41 @@ def test_a_resumed_run_has_its_own_config(tmp_path):
 def test_every_number_has_a_range():
     given = resolve("recipe=fast")
     numbers = {name for name in fields() if isinstance(OmegaConf.select(given, name), int | float)}
-    assert numbers == {name for name, _ in BAD} - {"loss.target_update"}
+    words = {"loss.target_update", "collector.kind", "replay.storage"}
+    assert numbers == {name for name, _ in BAD} - words
+
+
+@pytest.mark.parametrize("kind", ["single", "multi", "ray"])
+def test_collector_is_chosen_by_one_word(kind):
+    number = 1 if kind == "single" else 4
+    config = typed(f"collector={kind}", f"num_workers={number}", "collector.num_envs=64")
+    assert (config.collector.kind, config.num_workers) == (kind, number)
+    assert config.collector.num_envs == 64
+    assert config.collector.steps_per_batch == 16
+    check(config)
+
+
+def test_rays_address_is_an_option():
+    config = typed("collector=ray", "num_workers=2", "ray.address=10.0.0.1:6379")
+    assert config.ray.address == "10.0.0.1:6379"
+    check(config)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["num_workers=2"], "num_workers = 2: must be 1 with collector=single"),
+        (["ray.address=auto"], "ray.address = 'auto': must be null without ray"),
+        (
+            ["collector=multi", "num_workers=3"],
+            "collector.num_envs = 1024: must be a multiple of num_workers = 3",
+        ),
+    ],
+)
+def test_workers_that_do_not_fit_are_refused(options, message):
+    with pytest.raises(ConfigError) as caught:
+        check(typed(*options))
+    assert str(caught.value) == message
 
 
 @pytest.mark.parametrize(

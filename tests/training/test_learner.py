@@ -260,3 +260,69 @@ def test_a_compiled_loss_gives_the_same_losses():
     assert losses == pytest.approx(others, rel=1e-4)
     for key, value in weights.items():
         torch.testing.assert_close(compiled[key], value, rtol=1e-3, atol=1e-5)
+
+
+class Crash(Evaluation):
+    """Copies the run folder, as it is in the middle of the training, to another place."""
+
+    def __init__(self, run, copy, at):
+        super().__init__()
+        self.run, self.copy, self.at = run, copy, at
+
+    def __call__(self, network):
+        result = super().__call__(network)
+        if self.count == self.at:
+            shutil.copytree(self.run, self.copy)
+        return result
+
+
+def test_a_replay_buffer_of_files_changes_nothing_else(tmp_path):
+    """Nor does a crash: what is left of its files, half written, is not used."""
+    runs = {}
+    for storage in ("memory", "memmap"):
+        learner = changers(f"replay.storage={storage}", "replay.capacity=150")
+        run = tmp_path / storage
+        learner.begin(run)
+        assert learner.train(Crash(run, tmp_path / f"{storage}-crashed", at=3))
+        assert len(learner.replay) == 150
+        assert (run / "replay").exists() == (storage == "memmap")
+        learner.close()
+        assert not (run / "replay").exists()
+        runs[storage] = tables(run)
+    assert runs["memory"] == runs["memmap"]
+    crashed = tmp_path / "memmap-crashed"
+    files = list((crashed / "replay").rglob("*.memmap"))
+    assert len(files) > 5
+    sizes = {path.stem: path.stat().st_size for path in files}
+    assert sizes["action"] == 150 * 4
+    for path in files:
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    other = changers("replay.storage=memmap", "replay.capacity=150", seed=9)
+    other.resume(crashed)
+    assert 0 < other.transitions < 300
+    assert other.train(Evaluation())
+    other.close()
+    assert tables(crashed) == runs["memmap"]
+
+
+def test_a_replay_buffer_that_does_not_fit_on_the_disk(tmp_path, monkeypatch):
+    free = 2 * 1000 * 67 - 1
+    usage = type("Usage", (), {"free": free})
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    learner = changers("replay.storage=memmap", "replay.capacity=1000")
+    with pytest.raises(ConfigError, match=rf"replay.capacity = 1000: must fit .* {free} are free"):
+        learner.begin(tmp_path / "run")
+    assert not (tmp_path / "run" / "metrics.csv").exists()
+    learner.collector.shutdown()
+
+
+@pytest.mark.parametrize("make", [changers, followers])
+def test_the_memory_of_a_road_and_of_a_transition(tmp_path, make):
+    learner = make()
+    learner.begin(tmp_path / "run")
+    assert learner.train(Evaluation())
+    stored = learner.replay[:]
+    assert learner.memory["bytes_per_stored_transition"] == stored.bytes() / len(stored)
+    roads = len(learner.env.simulator.snapshot()) / 8
+    assert roads < learner.memory["bytes_per_environment"] < 1.2 * roads
+    learner.close()

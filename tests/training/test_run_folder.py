@@ -5,7 +5,6 @@ import csv
 import pytest
 import torch
 from tensordict.nn import TensorDictSequential
-from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate
@@ -13,6 +12,7 @@ from torchrl.objectives import SoftUpdate
 from marl_lanes import LaneChangeEnv, NAFLoss
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.checkpoint import make_network
+from marl_lanes.training.collectors import LocalCollector
 from marl_lanes.training.config import ConfigError
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, Table
@@ -125,22 +125,14 @@ class Parts:
             sigma_init=0.05,
             sigma_end=0.05,
         )
-        self.collector = Collector(
-            self.env,
-            TensorDictSequential(LivePolicy(self.network.policy().module, 1), noise),
-            frames_per_batch=3 * 100,
-            total_frames=-1,
-            track_traj_ids=False,
-            auto_register_policy_transforms=False,
-        )
-        self.batches = None
+        policy = TensorDictSequential(LivePolicy(self.network.policy().module, 1), noise)
+        self.collector = LocalCollector(self.env, policy, 100)
         self.losses = []
         self.ends = 0
 
     def train(self, rounds):
-        self.batches = self.batches or iter(self.collector)
         for _ in range(rounds):
-            batch = next(self.batches)
+            batch = self.collector.next()
             self.ends += int(batch["next", "done"].sum())
             self.replay.extend(live_transitions(batch))
             for _ in range(5):
@@ -156,7 +148,7 @@ class Parts:
             "loss": self.loss,
             "optimizer": self.optimizer,
             "replay": self.replay,
-            "env": self.env,
+            "collector": self.collector,
         }
 
 
@@ -174,8 +166,6 @@ def test_a_restored_training_goes_on_identically(tmp_path, overrides, capacity):
     content = read_state(file)
     assert content["counters"] == {"transitions": 12.0}
     restore_state(content, **other.kept())
-    # A collector resets the roads when it is made: what it holds is from before.
-    other.collector.reset()
     other.train(6)
     assert other.losses == one.losses[30:]
     assert len(set(one.losses)) > 50
@@ -198,7 +188,7 @@ def test_a_state_before_the_first_transition(tmp_path):
     one.train(3)
     other = Parts(NEW, seed=5)
     content = read_state(tmp_path / "s.pt")
-    assert content["replay"] is None
+    assert content["replay"] == {}
     restore_state(content, **other.kept())
     # The roads of both begin with a reset: the snapshot was taken before the first.
     assert len(other.replay) == 0

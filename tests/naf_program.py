@@ -1,0 +1,52 @@
+"""The training program as a process, on a tiny budget."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import torch
+
+PROGRAM = Path(__file__).parents[1] / "agents" / "naf" / "train.py"
+TINY = [
+    "num_threads=1",
+    "network.hidden_sizes=[8]",
+    "collector.num_envs=32",
+    "collector.steps_per_batch=4",
+    "collector.total_transitions=500",
+    "replay.warmup_transitions=64",
+    "replay.batch_size=16",
+    "optimizer.transitions_per_update=1",
+    "optimizer.pretraining_transitions=200",
+    "evaluation.save_interval=150",
+    "evaluation.num_maneuvers=2",
+    "evaluation.final_num_maneuvers=3",
+]
+
+
+def start(*options, folder, stderr=subprocess.PIPE):
+    return subprocess.Popen(
+        [sys.executable, str(PROGRAM), *options],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        start_new_session=True,
+    )
+
+
+def run_program(*options, folder):
+    process = start(*options, folder=folder)
+    out, err = process.communicate(timeout=200)
+    return process.returncode, out, err
+
+
+def weights(run, name="final.pt"):
+    return torch.load(run / "checkpoints" / name, weights_only=True)["weights"]
+
+
+def assert_same_weights(one, other):
+    assert one.keys() == other.keys()
+    for key, value in one.items():
+        assert torch.equal(other[key], value), key
