@@ -53,7 +53,7 @@ def internal(function: Function) -> Function:
 def _compile(function: Function, **options: bool) -> Function:
     compile_ = cast("Any", numba.njit)
     dispatcher = compile_(
-        function, cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
+        function, cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False, **options
     )
     if dispatcher is not function:
         # Numba stamps a cached kernel with its own file alone, yet it holds the code of the
