@@ -53,13 +53,13 @@ _HORIZON = int(Outcome.HORIZON)
 @internal
 def move(
     road: Any, vehicles: Any, order: Any, agents: Any, actions: Any, arcs: Any, constants: Any
-) -> bool:
+) -> tuple[bool, bool]:
     """Steer and integrate every vehicle; mark those that leave the road.
 
     Returns:
-        Whether a vehicle has reached its command position.
+        Whether a vehicle leaves, and whether one has reached its command position.
     """
-    is_command_due = False
+    is_leaving = is_command_due = False
     bound = constants.max_yaw_acceleration
     for rank in range(road.num_vehicles):
         car = vehicles[order[rank]]
@@ -69,15 +69,17 @@ def move(
             car.yaw_acceleration = agents[car.agent].direction * action
         else:
             car.yaw_acceleration = keep_lane(car, turn_rate, constants)
-        integrate(car, turn_rate, arcs, constants)
+        extent = integrate(car, turn_rate, arcs, constants)
         car.changer = NONE
-        if is_off_road(car, constants):
+        if is_off_road(car, extent, constants):
             car.fate = STRAYS
+            is_leaving = True
         elif car.position >= constants.road_length:
             car.fate = LEAVES
+            is_leaving = True
         elif car.position >= car.command_position:
             is_command_due = True
-    return is_command_due
+    return is_leaving, is_command_due
 
 
 @internal
@@ -111,10 +113,13 @@ def judge(
     constants: Any,
 ) -> None:
     """Reward every agent for the step, and end those whose command is over."""
-    for index in range(agents.shape[0]):
+    index, unseen = -1, road.num_live
+    while unseen > 0:
+        index += 1
         agent = agents[index]
         if agent.phase == _ABSENT:
             continue
+        unseen -= 1
         car = vehicles[agent.vehicle]
         deviation = lateral_deviation(agent, car, constants)
         turning = car.yaw_rate - road_turn_rate(car, arcs)
@@ -152,10 +157,13 @@ def renew(
 
     One after the other, so that a gap accepted by one is taken for the next.
     """
-    for index in range(agents.shape[0]):
+    index, unseen = -1, road.num_live
+    while unseen > 0:
+        index += 1
         agent = agents[index]
         if agent.phase == _ABSENT:
             continue
+        unseen -= 1
         car = vehicles[agent.vehicle]
         find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
         change_phase(agent, vehicles, car.yaw_rate - road_turn_rate(car, arcs), constants)
@@ -263,7 +271,7 @@ def run(
             or (mode == SKIP and road.num_live == 0 and not road.is_done)
         ):
             is_first = False
-            clear_ended(live, seen)
+            clear_ended(road, live, seen)
             free_slots(road, cars)
             accelerate(
                 road,
@@ -277,13 +285,15 @@ def run(
                 profiles,
                 p,
             )
-            is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
+            is_leaving, is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
             road.step += 1
             sort_by_position(ranks, road.num_vehicles, cars)
-            detect_collisions(road, cars, ranks, live, crashes, p)
+            if detect_collisions(road, cars, ranks, live, crashes, p):
+                is_leaving = True
             if road.num_live > 0:
                 judge(road, cars, ranks, live, seen, arcs, features, profiles, p)
-            remove_vehicles(road, cars, ranks)
+            if is_leaving:
+                remove_vehicles(road, cars, ranks)
             depart(road, lane, cars, ranks, live, p, profiles, dispositions, arcs)
             if is_command_due:
                 give_commands(road, cars, ranks, live, p)
