@@ -294,7 +294,8 @@ class LaneChangeParallelEnv(ParallelEnv):
             is_over = outcome != _UNFINISHED
             if phase == _ABSENT and not is_over:
                 continue
-            name = self.possible_agents[self._commands.item(slot)]
+            command = self._commands.item(slot)
+            name = self.possible_agents[command]
             terminations[name] = outcome in _TERMINATING
             truncations[name] = is_over and outcome not in _TERMINATING
             observations[name] = self._seen[slot].copy()

@@ -26,8 +26,9 @@ def compiled(function: Function) -> Function:
     """Compile on first call, kept on disk; IEEE semantics, no GIL.
 
     Kernels allocate nothing and own no array, so they count no references: that would take half of
-    their time. Division by zero gives inf and nan as in numpy. Without the GIL several threads advance
-    disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was vectorised.
+    their time. Division by zero gives inf and nan as in numpy. Without the GIL several threads
+    advance disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was
+    vectorised.
     """
     return _compile(function)
 
@@ -42,10 +43,12 @@ class _Internal(CPUDispatcher):
 def internal(function: Function) -> Function:
     """Like ``compiled``, for what only kernels call: without the costly entry from Python.
 
+    It is inlined into its callers, which then look into the arrays once and not at every call.
+
     Raises:
         TypeError: when it is called from Python, unless numba's compilation is switched off.
     """
-    dispatcher = _compile(function, no_cpython_wrapper=True)
+    dispatcher = _compile(function, no_cpython_wrapper=True, forceinline=True)
     if dispatcher is not function:
         cast("Any", dispatcher).__class__ = _Internal
     return dispatcher
@@ -66,15 +69,8 @@ def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
 
 def _compile(function: Function, **options: bool) -> Function:
     compile_ = cast("Any", numba.njit)
-    dispatcher = compile_(
-        function,
-        cache=True,
-        nogil=True,
-        error_model="numpy",
-        no_cfunc_wrapper=True,
-        _nrt=False,
-        **options,
-    )
+    options |= {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "_nrt": False}
+    dispatcher = compile_(function, error_model="numpy", **options)
     if dispatcher is not function:
         # Numba stamps a cached kernel with its own file alone, yet it holds the code of the
         # kernels that it calls: without this an edit of one file would leave the others stale.

@@ -32,6 +32,7 @@ from marl_lanes.traffic.maneuver import (
 from marl_lanes.traffic.neighbors import find_agent_neighbors, sort_by_position
 from marl_lanes.traffic.observation import observe
 from marl_lanes.traffic.pairing import clear_follower, pair
+from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.reward import reward, sum_terms
 from marl_lanes.traffic.state import NONE, Outcome, Phase
 
@@ -39,6 +40,9 @@ STEP = 0
 SKIP = 1
 RESET = 2
 """What ``run`` does with a road."""
+
+_SPARE_SLOTS = 4
+"""Departures take the first free slot, so that vehicles are in the first slots, with gaps."""
 
 _ABSENT = int(Phase.ABSENT)
 _ENGAGED = int(Phase.ENGAGED)
@@ -259,6 +263,14 @@ def run(
     for env in range(start, stop):
         if not mask[env]:
             continue
+        if env + 1 < stop:
+            # Roads are alike: as many slots as on this one.
+            num_slots = min(roads[env].num_vehicles + _SPARE_SLOTS, vehicles.shape[1])
+            prefetch(roads, env + 1, roads.itemsize)
+            prefetch(lanes, env + 1, lanes[env].nbytes)
+            prefetch(order, env + 1, 4 * num_slots)
+            prefetch(vehicles, env + 1, num_slots * vehicles.itemsize)
+            prefetch(agents, env + 1, agents.itemsize * roads[env].num_live)
         road, lane, cars, ranks = roads[env], lanes[env], vehicles[env], order[env]
         live, seen, crashes = agents[env], observations[env], collisions[env]
         behind, seen_behind = followers[env], follower_observations[env]

@@ -1,0 +1,43 @@
+"""Bringing the next road's records into the cache while the present road advances."""
+
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+
+from marl_lanes.traffic.compiled import internal
+
+_LINE = 64
+"""[bytes] of a cache line."""
+
+
+@intrinsic  # type: ignore[misc]
+def _prefetch_line(_: Any, array: Any, row: Any, offset: Any) -> Any:
+    """The processor's hint that the byte ``offset`` of ``array[row]`` is wanted soon."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = signature.args[0]
+        view = context.make_array(kind)(context, builder, arguments[0])
+        stride = cgutils.unpack_tuple(builder, view.strides, kind.ndim)[0]
+        byte = builder.add(builder.mul(arguments[1], stride), arguments[2])
+        base = builder.bitcast(view.data, ir.IntType(8).as_pointer())
+        flag = ir.IntType(32)
+        hint = ir.FunctionType(ir.VoidType(), [base.type, flag, flag, flag])
+        function = cgutils.get_or_insert_function(builder.module, hint, "llvm.prefetch.p0")
+        # To be read, kept in every level of the cache, data.
+        flags = [flag(0), flag(3), flag(1)]
+        builder.call(function, [builder.gep(base, [byte]), *flags])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp), generate
+
+
+@internal
+def prefetch(array: Any, row: int, num_bytes: int) -> None:
+    """Fetch the first bytes of ``array[row]``; changes nothing but the time that it takes."""
+    if numba.config.DISABLE_JIT:
+        return
+    for offset in range(0, num_bytes, _LINE):
+        _prefetch_line(array, row, offset)
