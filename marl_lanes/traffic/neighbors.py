@@ -9,16 +9,19 @@ _ENGAGED = int(Phase.ENGAGED)
 
 
 @internal
-def sort_by_position(order: Any, count: int, vehicles: Any) -> None:
-    """Restore the order of decreasing position: an insertion sort, near linear on near order."""
-    for rank in range(1, count):
-        slot = order[rank]
-        position = vehicles[slot].position
-        below = rank - 1
-        while below >= 0 and vehicles[order[below]].position < position:
-            order[below + 1] = order[below]
-            below -= 1
-        order[below + 1] = slot
+def insert_by_position(order: Any, rank: int, vehicles: Any) -> None:
+    """Move the vehicle at ``rank`` ahead of those before it that it has passed.
+
+    Over all ranks from the front an insertion sort, near linear on near order.
+    """
+    slot = order[rank]
+    position = vehicles[slot].position
+    place = rank
+    while place > 0 and vehicles[order[place - 1]].position < position:
+        order[place] = order[place - 1]
+        place -= 1
+    if place != rank:
+        order[place] = slot
 
 
 @internal

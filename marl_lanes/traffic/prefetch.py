@@ -13,8 +13,7 @@ _LINE = 64
 """[bytes] of a cache line."""
 
 
-@intrinsic  # type: ignore[misc]
-def _prefetch_line(_: Any, array: Any, row: Any, offset: Any) -> Any:
+def _hint(_: Any, array: Any, row: Any, offset: Any) -> Any:  # noqa: ARG001 - numba reads them
     """The processor's hint that the byte ``offset`` of ``array[row]`` is wanted soon."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -34,10 +33,15 @@ def _prefetch_line(_: Any, array: Any, row: Any, offset: Any) -> Any:
     return types.void(array, types.intp, types.intp), generate
 
 
+def _nothing(_array: Any, _row: int, _offset: int) -> None:
+    """What there is to do where numba's compilation is switched off."""
+
+
+_prefetch_line = _nothing if numba.config.DISABLE_JIT else intrinsic(_hint)
+
+
 @internal
 def prefetch(array: Any, row: int, num_bytes: int) -> None:
     """Fetch the first bytes of ``array[row]``; changes nothing but the time that it takes."""
-    if numba.config.DISABLE_JIT:
-        return
     for offset in range(0, num_bytes, _LINE):
         _prefetch_line(array, row, offset)

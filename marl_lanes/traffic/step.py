@@ -29,7 +29,7 @@ from marl_lanes.traffic.maneuver import (
     is_steering,
     lateral_deviation,
 )
-from marl_lanes.traffic.neighbors import find_agent_neighbors, sort_by_position
+from marl_lanes.traffic.neighbors import find_agent_neighbors, insert_by_position
 from marl_lanes.traffic.observation import observe
 from marl_lanes.traffic.pairing import clear_follower, pair
 from marl_lanes.traffic.prefetch import prefetch
@@ -58,7 +58,7 @@ _HORIZON = int(Outcome.HORIZON)
 def move(
     road: Any, vehicles: Any, order: Any, agents: Any, actions: Any, arcs: Any, constants: Any
 ) -> tuple[bool, bool]:
-    """Steer and integrate every vehicle; mark those that leave the road.
+    """Steer and integrate every vehicle, keep the order, mark those that leave the road.
 
     Returns:
         Whether a vehicle leaves, and whether one has reached its command position.
@@ -74,6 +74,7 @@ def move(
         else:
             car.yaw_acceleration = keep_lane(car, turn_rate, constants)
         extent = integrate(car, turn_rate, arcs, constants)
+        insert_by_position(order, rank, vehicles)
         car.changer = NONE
         if is_off_road(car, extent, constants):
             car.fate = STRAYS
@@ -299,7 +300,6 @@ def run(
             )
             is_leaving, is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
             road.step += 1
-            sort_by_position(ranks, road.num_vehicles, cars)
             if detect_collisions(road, cars, ranks, live, crashes, p):
                 is_leaving = True
             if road.num_live > 0:
