@@ -1,6 +1,6 @@
 # make train  - train the shared NAF policy on the paper's scenario, evaluate it, write the report
 # make test   - linters, import contract, type checker, tests
-# make benchmark - speed beside highway-env
+# make benchmark - speed of one environment beside its peers, of batches beside a bare kernel; the start
 # Each sets up .venv when it is missing or out of date.
 
 PYTHON ?= python3
@@ -23,7 +23,9 @@ test: $(VENV)/installed
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
-	$(BIN)/python benchmarks/speed.py $(ARGS)
+	$(BIN)/python benchmarks/single_env.py $(ARGS)
+	$(BIN)/python benchmarks/batched_env.py $(ARGS)
+	$(BIN)/python benchmarks/start.py $(ARGS)
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

@@ -15,7 +15,7 @@ _LANE_WIDTH = 3.75
 _LENGTH = 4.8
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def advance(
     start: int,
     stop: int,
@@ -108,8 +108,8 @@ class Limit:
         random = np.random.default_rng(0)
         even = np.arange(num_vehicles, 0, -1) * (road_length / (num_vehicles + 1))
         lane = np.broadcast_to(np.arange(num_vehicles, dtype=np.int32) % num_lanes, shape).copy()
-        self._arguments: tuple[float | NDArray[np.generic], ...] = (
-            road_length,
+        self._road_length = road_length
+        self._arrays: tuple[NDArray[Any], ...] = (
             np.broadcast_to(even, shape).copy(),
             (lane + 0.5) * _LANE_WIDTH,
             random.uniform(20.0, 25.0, shape),
@@ -124,4 +124,4 @@ class Limit:
 
     def advance(self, start: int, stop: int) -> None:
         """Advance the roads from ``start`` to ``stop`` by one time step."""
-        advance(start, stop, *self._arguments)
+        advance(start, stop, self._road_length, *self._arrays)

@@ -62,7 +62,7 @@ def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
     """
     if not isinstance(kernel, CPUDispatcher):
         return kernel  # numba's compilation is switched off
-    signature = tuple(numba.typeof(argument) for argument in arguments)
+    signature = tuple(cast("Any", numba).typeof(argument) for argument in arguments)
     kernel.compile(signature)
     return cast("Function", kernel.get_overload(signature))
 

@@ -1,6 +1,6 @@
 """Bringing the next road's records into the cache while the present road advances."""
 
-from typing import Any
+from typing import Any, cast
 
 import numba
 from llvmlite import ir
@@ -17,14 +17,15 @@ def _hint(_: Any, array: Any, row: Any, offset: Any) -> Any:  # noqa: ARG001 - n
     """The processor's hint that the byte ``offset`` of ``array[row]`` is wanted soon."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        tools = cast("Any", cgutils)
         kind = signature.args[0]
         view = context.make_array(kind)(context, builder, arguments[0])
-        stride = cgutils.unpack_tuple(builder, view.strides, kind.ndim)[0]
+        stride = tools.unpack_tuple(builder, view.strides, kind.ndim)[0]
         byte = builder.add(builder.mul(arguments[1], stride), arguments[2])
         base = builder.bitcast(view.data, ir.IntType(8).as_pointer())
         flag = ir.IntType(32)
         hint = ir.FunctionType(ir.VoidType(), [base.type, flag, flag, flag])
-        function = cgutils.get_or_insert_function(builder.module, hint, "llvm.prefetch.p0")
+        function = tools.get_or_insert_function(builder.module, hint, "llvm.prefetch.p0")
         # To be read, kept in every level of the cache, data.
         flags = [flag(0), flag(3), flag(1)]
         builder.call(function, [builder.gep(base, [byte]), *flags])
@@ -37,7 +38,8 @@ def _nothing(_array: Any, _row: int, _offset: int) -> None:
     """What there is to do where numba's compilation is switched off."""
 
 
-_prefetch_line = _nothing if numba.config.DISABLE_JIT else intrinsic(_hint)
+_is_compiled = not cast("Any", numba.config).DISABLE_JIT
+_prefetch_line: Any = intrinsic(_hint) if _is_compiled else _nothing
 
 
 @internal
