@@ -1,6 +1,6 @@
 # make train  - train the shared NAF policy on the paper's scenario, evaluate it, write the report
 # make test   - linters, import contract, type checker, tests
-# make benchmark - speed beside highway-env, an update beside bare PyTorch, a training's time
+# make benchmark - environment beside its peers, batches beside a bare kernel, an update beside bare PyTorch
 # Each sets up .venv when it is missing or out of date.
 
 PYTHON ?= python3
@@ -23,9 +23,11 @@ test: $(VENV)/installed
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
-	$(BIN)/python benchmarks/speed.py $(ARGS)
-	$(BIN)/python benchmarks/naf_update.py
-	$(BIN)/python benchmarks/policy_step.py
+	$(BIN)/python benchmarks/single_env.py $(ARGS)
+	$(BIN)/python benchmarks/batched_env.py $(ARGS)
+	$(BIN)/python benchmarks/start.py $(ARGS)
+	$(BIN)/python benchmarks/naf_update.py $(ARGS)
+	$(BIN)/python benchmarks/policy_step.py $(ARGS)
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

@@ -147,6 +147,7 @@ class Road:
         for car in self.cars:
             self.move(car, actions)
         self.counts["step"] += 1
+        self.counts["num_ended"] = 0
         self.cars.sort(key=lambda car: -car.position)
         self.collide()
         for slot in sorted(self.agents):
@@ -471,6 +472,7 @@ class Road:
             car.lane = agent.target
         car.agent = None
         self.counts["num_live"] -= 1
+        self.counts["num_ended"] += 1
 
     def remove(self):
         for car in self.cars:

@@ -19,13 +19,18 @@ from marl_lanes.traffic.external import FollowerPolicy
 from marl_lanes.traffic.observation import feature_bounds, follower_feature_bounds
 from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Outcome
+from marl_lanes.traffic.state import Outcome, Phase
 
 GROUP = "changers"
 """The group of the lane changers."""
 
 FOLLOWERS = "followers"
 """The group of the learned followers."""
+
+_ABSENT = int(Phase.ABSENT)
+_ENGAGED = int(Phase.ENGAGED)
+_UNFINISHED = int(Outcome.UNFINISHED)
+_FIRST_TRUNCATING = int(Outcome.MISSED)
 
 
 def _timed(method: Callable[..., TensorDict]) -> Callable[..., TensorDict]:
@@ -218,9 +223,9 @@ class LaneChangeEnv(EnvBase):
         self.simulator.step(*actions)
         groups = self._observe()
         simulator = self.simulator
-        outcome = simulator.agents["outcome"]
-        has_ended = simulator.has_ended
-        is_truncated = outcome >= Outcome.MISSED
+        outcome = groups[GROUP]["outcome"]
+        has_ended = outcome != _UNFINISHED
+        is_truncated = outcome >= _FIRST_TRUNCATING
         tables = {GROUP: simulator.agents, FOLLOWERS: simulator.state.followers}
         for name, group in groups.items():
             group["reward"] = tables[name]["reward"].astype(np.float32)[..., None]
@@ -239,12 +244,15 @@ class LaneChangeEnv(EnvBase):
     def _observe(self) -> dict[str, dict[str, NDArray[Any]]]:
         simulator = self.simulator
         agents, followers = simulator.agents, simulator.state.followers
+        # Out of the table once, as its columns are far apart in memory.
+        phase = agents["phase"].copy()
+        is_live, is_engaged = phase != _ABSENT, phase >= _ENGAGED
         groups = {
             GROUP: {
                 "observation": simulator.state.observations.copy(),
-                "mask": simulator.is_live,
-                "engaged": simulator.is_engaged,
-                "acting": simulator.is_acting,
+                "mask": is_live,
+                "engaged": is_engaged,
+                "acting": (is_engaged if simulator.num_actions == 1 else is_live).copy(),
                 "episode_reward": agents["episode_reward"].astype(np.float32)[..., None],
                 "outcome": agents["outcome"].astype(np.int64),
             }
@@ -252,7 +260,7 @@ class LaneChangeEnv(EnvBase):
         if FOLLOWERS in self.group_map:
             groups[FOLLOWERS] = {
                 "observation": simulator.state.follower_observations.copy(),
-                "mask": simulator.is_live,
+                "mask": is_live.copy(),
                 "acting": simulator.is_follower_acting,
                 "episode_reward": followers["episode_reward"].astype(np.float32)[..., None],
             }

@@ -1,5 +1,6 @@
 """The PettingZoo environment: one road, an agent for every commanded vehicle."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -39,7 +40,6 @@ _TERMS = (
     "reward_delay",
     "reward_longitudinal",
 )
-_FIELDS = ("command", "phase", "outcome", "num_aborts", "reward", *_TERMS)
 _FOLLOWER_TERMS = (
     "reward_delay",
     "reward_abort",
@@ -49,6 +49,9 @@ _FOLLOWER_TERMS = (
 )
 _INFO = ("phase", "outcome", "num_aborts", *_TERMS)
 _FOLLOWER_INFO = ("phase", "is_paired", *_FOLLOWER_TERMS)
+
+_ABSENT = int(Phase.ABSENT)
+_UNFINISHED = int(Outcome.UNFINISHED)
 
 
 class Options(TypedDict, total=False):
@@ -168,13 +171,23 @@ class LaneChangeParallelEnv(ParallelEnv):
             self.action_spaces[agent] = Box(*acted)
         shape = (self.scenario.max_vehicles, len(STATE_COLUMNS))
         self.state_space = Box(-np.inf, np.inf, shape, np.float32)
-        slots = self.simulator.num_slots
-        self._actions = {
-            "changer": np.zeros((1, slots, self.simulator.num_actions)),
-            "follower": np.zeros((1, slots, 1)),
-        }
         self._slots: dict[str, int] = {}
         self._finished: set[str] = set()
+        self._view()
+
+    def _view(self) -> None:
+        """Views of the road: taking them at every step would be a good part of its time."""
+        state = self.simulator.state
+        table = state.agents[0]
+        self._seen, self._is_done = state.observations[0], state.roads["is_done"]
+        self._phases, self._outcomes = table["phase"], table["outcome"]
+        self._commands, self._rewards = table["command"], table["reward"]
+        self._info = [table[name] for name in _INFO]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # A copy's views must be of its own road.
+        self.__dict__.update(state)
+        self._view()
 
     def observation_space(self, agent: str) -> Box:
         """The same space object at every call."""
@@ -217,13 +230,16 @@ class LaneChangeParallelEnv(ParallelEnv):
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
-        for agent in self.agents:
-            group = agent.partition("_")[0]
-            self._actions[group][0, self._slots[agent]] = self._read_action(agent, actions)
-        self.simulator.step(*(self._actions[group] for group in self.groups))
+        values = [self._read_action(agent, actions) for agent in self.agents]
+        simulator = self.simulator
+        for agent, value in zip(self.agents, values, strict=True):
+            is_changer = agent.startswith("changer")
+            buffer = simulator.actions if is_changer else simulator.follower_actions
+            buffer[0, self._slots[agent]] = value
+        simulator.advance()
         result = self._absent()
         self._collect(result)
-        if not self.agents and not self.simulator.roads["is_done"][0]:
+        if not self.agents and not self._is_done[0]:
             # The agents that just ended stay in the dicts; newborn ones join them.
             self.simulator.advance_until_live()
             self._collect(result)
@@ -249,7 +265,7 @@ class LaneChangeParallelEnv(ParallelEnv):
     def close(self) -> None:
         """Nothing to release."""
 
-    def _read_action(self, agent: str, actions: Mapping[str, Any]) -> NDArray[np.float64]:
+    def _read_action(self, agent: str, actions: Mapping[str, Any]) -> list[float]:
         try:
             action = actions[agent]
         except KeyError:
@@ -263,37 +279,29 @@ class LaneChangeParallelEnv(ParallelEnv):
         shape = self.action_spaces[agent].shape
         if array.shape != shape:
             raise ValueError(f"actions[{agent!r}] = {action!r}: must have shape {shape}")
-        if not np.isfinite(array).all():
-            raise ValueError(
-                f"actions[{agent!r}] = {array.tolist()}: must be finite [rad/s^2, m/s^2]"
-            )
-        return array
+        values: list[float] = array.tolist()
+        if not all(map(math.isfinite, values)):
+            raise ValueError(f"actions[{agent!r}] = {values}: must be finite [rad/s^2, m/s^2]")
+        return values
 
     def _collect(self, result: Step) -> None:
         """Write what the live agents and those that just ended have into the dicts."""
         observations, rewards, terminations, truncations, infos = result
-        seen = self.simulator.state.observations[0]
-        table = self.simulator.agents[0]
         self.agents = []
         self._slots.clear()
-        columns = [table[name].tolist() for name in _FIELDS]
-        for slot, (command, phase, outcome, aborts, reward, *terms) in enumerate(
-            zip(*columns, strict=True)
-        ):
-            if phase == Phase.ABSENT and outcome == Outcome.UNFINISHED:
+        phases, outcomes = self._phases.tolist(), self._outcomes.tolist()
+        for slot, (phase, outcome) in enumerate(zip(phases, outcomes, strict=True)):
+            is_over = outcome != _UNFINISHED
+            if phase == _ABSENT and not is_over:
                 continue
+            command = self._commands.item(slot)
             name = self.possible_agents[command]
-            is_over = outcome != Outcome.UNFINISHED
             terminations[name] = outcome in _TERMINATING
             truncations[name] = is_over and outcome not in _TERMINATING
-            observations[name] = seen[slot].copy()
-            rewards[name] = reward
-            infos[name] = {
-                "phase": float(phase),
-                "outcome": float(outcome),
-                "num_aborts": float(aborts),
-                **dict(zip(_TERMS, terms, strict=True)),
-            }
+            observations[name] = self._seen[slot].copy()
+            rewards[name] = self._rewards.item(slot)
+            values = [float(column.item(slot)) for column in self._info]
+            infos[name] = dict(zip(_INFO, values, strict=True))
             both = [name]
             if len(self.groups) > 1:
                 both.append(f"follower_{command}")

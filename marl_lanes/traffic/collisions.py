@@ -63,8 +63,13 @@ def _record(road: Any, rear: Any, front: Any, agents: Any, record: Any, constant
 @internal
 def detect_collisions(
     road: Any, vehicles: Any, order: Any, agents: Any, collisions: Any, constants: Any
-) -> None:
-    """Record every overlapping pair and mark both vehicles."""
+) -> bool:
+    """Record every overlapping pair and mark both vehicles.
+
+    Returns:
+        Whether there is one.
+    """
+    num_before = road.num_collisions
     length, width = constants.vehicle_length, constants.vehicle_width
     reach = math.sqrt(length * length + width * width)
     for rank in range(road.num_vehicles):
@@ -79,6 +84,7 @@ def detect_collisions(
                 road.num_collisions += 1
                 rear.fate = COLLIDES
                 front.fate = COLLIDES
+    return bool(road.num_collisions > num_before)
 
 
 @internal

@@ -1,7 +1,7 @@
 """One way of compiling for every kernel."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -25,8 +25,10 @@ _SOURCES = _hash_sources()
 def compiled(function: Function) -> Function:
     """Compile on first call, kept on disk; IEEE semantics, no GIL.
 
-    Division by zero gives inf and nan as in numpy. Without the GIL several threads advance
-    disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was vectorised.
+    Kernels allocate nothing and own no array, so they count no references: that would take half of
+    their time. Division by zero gives inf and nan as in numpy. Without the GIL several threads
+    advance disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was
+    vectorised.
     """
     return _compile(function)
 
@@ -41,20 +43,34 @@ class _Internal(CPUDispatcher):
 def internal(function: Function) -> Function:
     """Like ``compiled``, for what only kernels call: without the costly entry from Python.
 
+    It is inlined into its callers, which then look into the arrays once and not at every call.
+
     Raises:
         TypeError: when it is called from Python, unless numba's compilation is switched off.
     """
-    dispatcher = _compile(function, no_cpython_wrapper=True)
+    dispatcher = _compile(function, no_cpython_wrapper=True, forceinline=True)
     if dispatcher is not function:
         cast("Any", dispatcher).__class__ = _Internal
     return dispatcher
 
 
+def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
+    """The compiled code of ``kernel`` for arguments of exactly these types.
+
+    Numba looks the types of all arguments up at every call, which takes longer than a time step of
+    a road. Who calls this must never pass others: nothing checks them any more.
+    """
+    if not isinstance(kernel, CPUDispatcher):
+        return kernel  # numba's compilation is switched off
+    signature = tuple(cast("Any", numba).typeof(argument) for argument in arguments)
+    kernel.compile(signature)
+    return cast("Function", kernel.get_overload(signature))
+
+
 def _compile(function: Function, **options: bool) -> Function:
     compile_ = cast("Any", numba.njit)
-    dispatcher = compile_(
-        function, cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
-    )
+    options |= {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "_nrt": False}
+    dispatcher = compile_(function, error_model="numpy", **options)
     if dispatcher is not function:
         # Numba stamps a cached kernel with its own file alone, yet it holds the code of the
         # kernels that it calls: without this an edit of one file would leave the others stale.

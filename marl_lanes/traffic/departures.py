@@ -5,7 +5,7 @@ from typing import Any
 
 from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.idm import interaction_term
-from marl_lanes.traffic.kinematics import lane_centre, occupy, road_turn_rate
+from marl_lanes.traffic.kinematics import half_extent, lane_centre, occupy, road_turn_rate
 from marl_lanes.traffic.neighbors import bumper_gap, neighbor_in_lane
 from marl_lanes.traffic.random import choice, uniform
 from marl_lanes.traffic.state import NONE
@@ -51,7 +51,7 @@ def _place(car: Any, lane: int, lane_record: Any, arcs: Any, constants: Any) -> 
     car.changer = NONE
     car.fate = 0
     car.yaw_rate = road_turn_rate(car, arcs)
-    occupy(car, constants)
+    occupy(car, half_extent(0.0, constants), constants)
 
 
 @internal
@@ -103,7 +103,7 @@ def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: A
     road.num_vehicles = road.num_entered = road.num_left = road.num_off_road = 0
     road.num_removed = 0
     road.num_collided = road.num_collisions = 0
-    road.num_commands = road.num_live = road.is_done = road.is_cut = 0
+    road.num_commands = road.num_live = road.num_ended = road.is_done = road.is_cut = 0
     now = road.step * constants.time_step
     for lane in range(lanes.shape[0]):
         schedule(road, lanes[lane], now, profiles, constants)

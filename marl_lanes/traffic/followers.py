@@ -266,7 +266,10 @@ def accelerate(
                 wanted = follower_actions[index, 0]
                 acceleration = _drive_external(car, wanted, lanes, vehicles, agents, constants)
         car.acceleration = max(acceleration, -constants.max_braking)
-        for lane in range(car.lane_low, car.lane_high + 1):
-            lanes[lane].nearest = slot
+        lanes[car.lane_low].nearest = slot
+        if car.lane_high != car.lane_low:
+            # A body is narrower than a lane, but it can lie across the road.
+            for lane in range(car.lane_low + 1, car.lane_high + 1):
+                lanes[lane].nearest = slot
         if car.agent != NONE and agents[car.agent].phase == _ENGAGED:
             lanes[agents[car.agent].target_lane].nearest_engaged = slot

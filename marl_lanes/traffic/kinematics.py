@@ -39,8 +39,14 @@ def half_extent(yaw: float, constants: Any) -> float:
     """Half of the body's width across the road: (l/2)|sin psi| + (w/2)|cos psi| [m]."""
     if yaw == 0.0:
         return 0.5 * float(constants.vehicle_width)
-    across = constants.vehicle_length * abs(math.sin(yaw))
-    return 0.5 * float(across + constants.vehicle_width * abs(math.cos(yaw)))
+    return turned_extent(math.sin(yaw), math.cos(yaw), constants)
+
+
+@internal
+def turned_extent(sine: float, cosine: float, constants: Any) -> float:
+    """``half_extent`` where the sine and cosine of psi are at hand [m]."""
+    across = constants.vehicle_length * abs(sine)
+    return 0.5 * float(across + constants.vehicle_width * abs(cosine))
 
 
 @compiled
@@ -62,33 +68,38 @@ def keep_lane(car: Any, turn_rate: float, constants: Any) -> float:
 
 
 @compiled
-def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> None:
+def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
     """One semi-implicit Euler step of dt under the car's acceleration and yaw acceleration.
 
     v += a dt (not below 0); omega += alpha dt, |omega| <= v/R_min; psi += (omega - c s') dt;
     s += v cos(psi)/(1 - c d) dt; d += v sin(psi) dt. Each line uses what the lines before it gave.
+
+    Returns:
+        Half of the body's width across the road afterwards, as ``half_extent`` [m].
     """
     step = constants.time_step
     speed = max(0.0, car.speed + car.acceleration * step)
     car.speed = speed
     if car.yaw == 0.0 and car.yaw_rate == 0.0 and car.yaw_acceleration == 0.0 and turn_rate == 0.0:
         car.position += speed * step
-        return
+        return half_extent(0.0, constants)
     fastest = speed / constants.min_turning_radius
     yaw_rate = car.yaw_rate + car.yaw_acceleration * step
     car.yaw_rate = min(max(yaw_rate, -fastest), fastest)
     car.yaw += (car.yaw_rate - turn_rate) * step
+    sine, cosine = math.sin(car.yaw), math.cos(car.yaw)
     curvature = curvature_at(arcs, car.position)
-    progress = speed * math.cos(car.yaw) / (1.0 - curvature * car.lateral_position)
+    progress = speed * cosine / (1.0 - curvature * car.lateral_position)
     car.position += progress * step
-    car.lateral_position += speed * math.sin(car.yaw) * step
-    occupy(car, constants)
+    car.lateral_position += speed * sine * step
+    extent = turned_extent(sine, cosine, constants)
+    occupy(car, extent, constants)
+    return float(extent)
 
 
 @internal
-def occupy(car: Any, constants: Any) -> None:
+def occupy(car: Any, extent: float, constants: Any) -> None:
     """Set the lanes that the body overlaps, off-road parts counted to the outermost lane."""
-    extent = half_extent(car.yaw, constants)
     last = constants.num_lanes - 1
     low = math.floor((car.lateral_position - extent) / constants.lane_width)
     high = math.floor((car.lateral_position + extent) / constants.lane_width)

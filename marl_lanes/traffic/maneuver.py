@@ -9,7 +9,7 @@ from typing import Any
 
 from marl_lanes.traffic.compiled import compiled, internal
 from marl_lanes.traffic.gap import is_target_gap_safe
-from marl_lanes.traffic.kinematics import half_extent, lane_centre
+from marl_lanes.traffic.kinematics import lane_centre
 from marl_lanes.traffic.random import uniform
 from marl_lanes.traffic.state import NONE, Outcome, Phase
 
@@ -49,11 +49,13 @@ def has_arrived(deviation: float, car: Any, turning: float, constants: Any) -> b
 
 
 @internal
-def is_off_road(car: Any, constants: Any) -> bool:
-    """Whether the body is beyond an edge of the road, or the car no longer faces along it."""
+def is_off_road(car: Any, extent: float, constants: Any) -> bool:
+    """Whether the body is beyond an edge of the road, or the car no longer faces along it.
+
+    ``extent`` is the body's ``half_extent`` [m].
+    """
     if car.yaw == 0.0:
         return False
-    extent = half_extent(car.yaw, constants)
     width = constants.num_lanes * constants.lane_width
     return bool(
         car.lateral_position < extent
@@ -125,11 +127,15 @@ def end_command(agent: Any, car: Any, road: Any, outcome: int) -> None:
     agent.phase = _ABSENT
     car.agent = NONE
     road.num_live -= 1
+    road.num_ended += 1
 
 
 @internal
-def clear_ended(agents: Any, observations: Any) -> None:
+def clear_ended(road: Any, agents: Any, observations: Any) -> None:
     """Free the slots of the commands that ended in the step before."""
+    if road.num_ended == 0:
+        return
+    road.num_ended = 0
     for index in range(agents.shape[0]):
         agent = agents[index]
         if agent.outcome != _UNFINISHED:

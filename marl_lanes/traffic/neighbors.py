@@ -9,16 +9,19 @@ _ENGAGED = int(Phase.ENGAGED)
 
 
 @internal
-def sort_by_position(order: Any, count: int, vehicles: Any) -> None:
-    """Restore the order of decreasing position: an insertion sort, near linear on near order."""
-    for rank in range(1, count):
-        slot = order[rank]
-        position = vehicles[slot].position
-        below = rank - 1
-        while below >= 0 and vehicles[order[below]].position < position:
-            order[below + 1] = order[below]
-            below -= 1
-        order[below + 1] = slot
+def insert_by_position(order: Any, rank: int, vehicles: Any) -> None:
+    """Move the vehicle at ``rank`` ahead of those before it that it has passed.
+
+    Over all ranks from the front an insertion sort, near linear on near order.
+    """
+    slot = order[rank]
+    position = vehicles[slot].position
+    place = rank
+    while place > 0 and vehicles[order[place - 1]].position < position:
+        order[place] = order[place - 1]
+        place -= 1
+    if place != rank:
+        order[place] = slot
 
 
 @internal
@@ -47,16 +50,41 @@ def neighbor_in_lane(
 
 
 @internal
+def neighbors_in_lanes(
+    rank: int,
+    stride: int,
+    lane: int,
+    other_lane: int,
+    order: Any,
+    count: int,
+    vehicles: Any,
+    agents: Any,
+) -> tuple[int, int]:
+    """``neighbor_in_lane`` of two lanes at once."""
+    neighbor = other_neighbor = NONE
+    at = rank + stride
+    while 0 <= at < count and (neighbor == NONE or other_neighbor == NONE):
+        slot = int(order[at])
+        if neighbor == NONE and is_in_lane(vehicles[slot], lane, agents):
+            neighbor = slot
+        if other_neighbor == NONE and is_in_lane(vehicles[slot], other_lane, agents):
+            other_neighbor = slot
+        at += stride
+    return neighbor, other_neighbor
+
+
+@internal
 def find_agent_neighbors(agent: Any, order: Any, count: int, vehicles: Any, agents: Any) -> None:
     """Set the agent's leader and follower in its origin and in its target lane."""
     rank = 0
     while order[rank] != agent.vehicle:
         rank += 1
-    origin, target = agent.origin_lane, agent.target_lane
-    agent.leader = neighbor_in_lane(rank, origin, -1, order, count, vehicles, agents)
-    agent.follower = neighbor_in_lane(rank, origin, 1, order, count, vehicles, agents)
-    agent.target_leader = neighbor_in_lane(rank, target, -1, order, count, vehicles, agents)
-    agent.target_follower = neighbor_in_lane(rank, target, 1, order, count, vehicles, agents)
+    agent.leader, agent.target_leader = neighbors_in_lanes(
+        rank, -1, agent.origin_lane, agent.target_lane, order, count, vehicles, agents
+    )
+    agent.follower, agent.target_follower = neighbors_in_lanes(
+        rank, 1, agent.origin_lane, agent.target_lane, order, count, vehicles, agents
+    )
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Roads that advance together: owns the arrays, validates what comes in, shares out the threads."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.traffic.compiled import entry_point
 from marl_lanes.traffic.external import FollowerPolicy, ask_policy, choose_policies
 from marl_lanes.traffic.observation import FOLLOWER_FEATURES
 from marl_lanes.traffic.parameters import make_parameters
@@ -20,6 +21,11 @@ from marl_lanes.traffic.step import RESET, SKIP, STEP, run
 
 _ROADS_PER_THREAD = 1024
 """Below this many roads waking a second thread costs about what it saves."""
+
+# numpy compares with plain integers several times faster than with members of an enumeration.
+_ABSENT = int(Phase.ABSENT)
+_ENGAGED = int(Phase.ENGAGED)
+_UNFINISHED = int(Outcome.UNFINISHED)
 
 
 class Simulator:
@@ -84,10 +90,13 @@ class Simulator:
             num_follower_features=len(FOLLOWER_FEATURES),
         )
         self.parameters = make_parameters(self.scenario)
-        self._actions = np.zeros((num_envs, self.num_slots, self.num_actions))
-        self._follower_actions = np.zeros((num_envs, self.num_slots, 1))
+        self.actions = np.zeros((num_envs, self.num_slots, self.num_actions))
+        """(E, A, D) of the last step, as given."""
+        self.follower_actions = np.zeros((num_envs, self.num_slots, 1))
+        """(E, A, 1) of the last step, those of policies included."""
         self._every_road = np.ones(num_envs, np.bool_)
         self._arguments = self._gather_arguments()
+        self._kernel: Callable[..., None] | None = None
         wanted = num_threads or min(os.cpu_count() or 1, num_envs // _ROADS_PER_THREAD)
         self.num_threads = max(1, min(wanted, num_envs))
         bounds = np.linspace(0, num_envs, self.num_threads + 1).astype(int).tolist()
@@ -109,7 +118,7 @@ class Simulator:
         Args:
             mask: (E,) bool.
         """
-        chosen = self._every_road if mask is None else np.asarray(mask, np.bool_)
+        chosen = self._every_road if mask is None else np.ascontiguousarray(mask, np.bool_)
         if chosen.shape != (self.num_envs,):
             raise ValueError(f"mask: shape {chosen.shape}, must be ({self.num_envs},)")
         # Nothing of the last episode stays, so that equal seeds give equal bytes.
@@ -135,10 +144,18 @@ class Simulator:
             ValueError: wrong shape, or an action that counts and is not finite.
             FollowerError: a follower's policy returned what no vehicle can do.
         """
-        self._take("actions", actions, self._actions, self.is_acting)
-        self._take(
-            "follower_actions", follower_actions, self._follower_actions, self.is_follower_acting
-        )
+        self._take("actions", actions, self.actions)
+        self._take("follower_actions", follower_actions, self.follower_actions)
+        self.advance()
+
+    def advance(self) -> None:
+        """``step`` with what stands in ``actions`` and ``follower_actions``, which must be finite.
+
+        For who writes there and has checked it.
+
+        Raises:
+            FollowerError: a follower's policy returned what no vehicle can do.
+        """
         self._ask_policies()
         self._run(STEP, self._every_road)
 
@@ -184,12 +201,12 @@ class Simulator:
     @property
     def is_live(self) -> NDArray[np.bool_]:
         """(E, A): slots whose command is unfinished."""
-        return np.asarray(self.state.agents["phase"] != Phase.ABSENT)
+        return np.asarray(self.state.agents["phase"] != _ABSENT)
 
     @property
     def is_engaged(self) -> NDArray[np.bool_]:
         """(E, A): slots whose agent steers, engaged or aborting."""
-        return np.asarray(self.state.agents["phase"] >= Phase.ENGAGED)
+        return np.asarray(self.state.agents["phase"] >= _ENGAGED)
 
     @property
     def is_acting(self) -> NDArray[np.bool_]:
@@ -207,7 +224,7 @@ class Simulator:
     @property
     def has_ended(self) -> NDArray[np.bool_]:
         """(E, A): slots whose command ended in the last step."""
-        return np.asarray(self.state.agents["outcome"] != Outcome.UNFINISHED)
+        return np.asarray(self.state.agents["outcome"] != _UNFINISHED)
 
     @property
     def vehicles(self) -> Records:
@@ -224,10 +241,7 @@ class Simulator:
         """(E,) the table ROAD."""
         return self.state.roads
 
-    @staticmethod
-    def _take(
-        name: str, given: ArrayLike | None, kept: NDArray[np.float64], acting: NDArray[np.bool_]
-    ) -> None:
+    def _take(self, name: str, given: ArrayLike | None, kept: NDArray[np.float64]) -> None:
         """Copy actions; what is not finite is refused where it counts, and else 0."""
         if given is None:
             kept.fill(0.0)
@@ -239,6 +253,7 @@ class Simulator:
         is_finite = np.isfinite(array)
         if is_finite.all():
             return
+        acting = self.is_acting if kept is self.actions else self.is_follower_acting
         bad = acting[..., None] & ~is_finite
         if bad.any():
             env, slot, column = np.argwhere(bad)[0].tolist()
@@ -257,29 +272,32 @@ class Simulator:
             if rows.any():
                 name = self.scenario.followers.external_names[code]
                 seen = self.state.follower_observations[rows]
-                self._follower_actions[rows, 0] = ask_policy(name, policy, seen, self.scenario)
+                self.follower_actions[rows, 0] = ask_policy(name, policy, seen, self.scenario)
 
     def _gather_arguments(self) -> tuple[NDArray[Any], ...]:
-        return (self._actions, self._follower_actions, *self.state.arrays, *self.parameters.arrays)
+        return (self.actions, self.follower_actions, *self.state.arrays, *self.parameters.arrays)
 
     def _run(self, mode: int, mask: NDArray[np.bool_]) -> None:
+        if self._kernel is None:
+            self._kernel = entry_point(run, (0, self.num_envs, mode, mask, *self._arguments))
+        run_roads = self._kernel
         if self.num_threads == 1:
-            run(0, self.num_envs, mode, mask, *self._arguments)
+            run_roads(0, self.num_envs, mode, mask, *self._arguments)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.num_threads - 1, "marl_lanes")
         (first, *others) = self._ranges
         pending = [
-            self._pool.submit(run, start, stop, mode, mask, *self._arguments)
+            self._pool.submit(run_roads, start, stop, mode, mask, *self._arguments)
             for start, stop in others
         ]
-        run(*first, mode, mask, *self._arguments)
+        run_roads(*first, mode, mask, *self._arguments)
         for future in pending:
             future.result()
 
     def __getstate__(self) -> dict[str, Any]:
         # A pool belongs to its process; the arguments must be the arrays of the copied state.
-        return {**self.__dict__, "_pool": None, "_arguments": ()}
+        return {**self.__dict__, "_pool": None, "_kernel": None, "_arguments": ()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -134,6 +134,7 @@ ROAD: Table = (
     ("num_collisions", "i8", "1", "collisions recorded since the reset"),
     ("num_commands", "i8", "1", "commands given in this episode"),
     ("num_live", "i8", "1", "agents live now"),
+    ("num_ended", "i8", "1", "commands that ended in the last step, whose slots are not free yet"),
     ("is_done", "i8", "1", "1 once the episode is over"),
     ("is_cut", "i8", "1", "1 once it is over by the horizon, with commands unfinished or ungiven"),
 )

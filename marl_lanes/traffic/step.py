@@ -29,9 +29,10 @@ from marl_lanes.traffic.maneuver import (
     is_steering,
     lateral_deviation,
 )
-from marl_lanes.traffic.neighbors import find_agent_neighbors, sort_by_position
+from marl_lanes.traffic.neighbors import find_agent_neighbors, insert_by_position
 from marl_lanes.traffic.observation import observe
 from marl_lanes.traffic.pairing import clear_follower, pair
+from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.reward import reward, sum_terms
 from marl_lanes.traffic.state import NONE, Outcome, Phase
 
@@ -39,6 +40,9 @@ STEP = 0
 SKIP = 1
 RESET = 2
 """What ``run`` does with a road."""
+
+_SPARE_SLOTS = 4
+"""Departures take the first free slot, so that vehicles are in the first slots, with gaps."""
 
 _ABSENT = int(Phase.ABSENT)
 _ENGAGED = int(Phase.ENGAGED)
@@ -53,13 +57,13 @@ _HORIZON = int(Outcome.HORIZON)
 @internal
 def move(
     road: Any, vehicles: Any, order: Any, agents: Any, actions: Any, arcs: Any, constants: Any
-) -> bool:
-    """Steer and integrate every vehicle; mark those that leave the road.
+) -> tuple[bool, bool]:
+    """Steer and integrate every vehicle, keep the order, mark those that leave the road.
 
     Returns:
-        Whether a vehicle has reached its command position.
+        Whether a vehicle leaves, and whether one has reached its command position.
     """
-    is_command_due = False
+    is_leaving = is_command_due = False
     bound = constants.max_yaw_acceleration
     for rank in range(road.num_vehicles):
         car = vehicles[order[rank]]
@@ -69,15 +73,18 @@ def move(
             car.yaw_acceleration = agents[car.agent].direction * action
         else:
             car.yaw_acceleration = keep_lane(car, turn_rate, constants)
-        integrate(car, turn_rate, arcs, constants)
+        extent = integrate(car, turn_rate, arcs, constants)
+        insert_by_position(order, rank, vehicles)
         car.changer = NONE
-        if is_off_road(car, constants):
+        if is_off_road(car, extent, constants):
             car.fate = STRAYS
+            is_leaving = True
         elif car.position >= constants.road_length:
             car.fate = LEAVES
+            is_leaving = True
         elif car.position >= car.command_position:
             is_command_due = True
-    return is_command_due
+    return is_leaving, is_command_due
 
 
 @internal
@@ -111,10 +118,13 @@ def judge(
     constants: Any,
 ) -> None:
     """Reward every agent for the step, and end those whose command is over."""
-    for index in range(agents.shape[0]):
+    index, unseen = -1, road.num_live
+    while unseen > 0:
+        index += 1
         agent = agents[index]
         if agent.phase == _ABSENT:
             continue
+        unseen -= 1
         car = vehicles[agent.vehicle]
         deviation = lateral_deviation(agent, car, constants)
         turning = car.yaw_rate - road_turn_rate(car, arcs)
@@ -152,10 +162,13 @@ def renew(
 
     One after the other, so that a gap accepted by one is taken for the next.
     """
-    for index in range(agents.shape[0]):
+    index, unseen = -1, road.num_live
+    while unseen > 0:
+        index += 1
         agent = agents[index]
         if agent.phase == _ABSENT:
             continue
+        unseen -= 1
         car = vehicles[agent.vehicle]
         find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
         change_phase(agent, vehicles, car.yaw_rate - road_turn_rate(car, arcs), constants)
@@ -251,6 +264,14 @@ def run(
     for env in range(start, stop):
         if not mask[env]:
             continue
+        if env + 1 < stop:
+            # Roads are alike: as many slots as on this one.
+            num_slots = min(roads[env].num_vehicles + _SPARE_SLOTS, vehicles.shape[1])
+            prefetch(roads, env + 1, roads.itemsize)
+            prefetch(lanes, env + 1, lanes[env].nbytes)
+            prefetch(order, env + 1, 4 * num_slots)
+            prefetch(vehicles, env + 1, num_slots * vehicles.itemsize)
+            prefetch(agents, env + 1, agents.itemsize * roads[env].num_live)
         road, lane, cars, ranks = roads[env], lanes[env], vehicles[env], order[env]
         live, seen, crashes = agents[env], observations[env], collisions[env]
         behind, seen_behind = followers[env], follower_observations[env]
@@ -263,7 +284,7 @@ def run(
             or (mode == SKIP and road.num_live == 0 and not road.is_done)
         ):
             is_first = False
-            clear_ended(live, seen)
+            clear_ended(road, live, seen)
             free_slots(road, cars)
             accelerate(
                 road,
@@ -277,13 +298,14 @@ def run(
                 profiles,
                 p,
             )
-            is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
+            is_leaving, is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
             road.step += 1
-            sort_by_position(ranks, road.num_vehicles, cars)
-            detect_collisions(road, cars, ranks, live, crashes, p)
+            if detect_collisions(road, cars, ranks, live, crashes, p):
+                is_leaving = True
             if road.num_live > 0:
                 judge(road, cars, ranks, live, seen, arcs, features, profiles, p)
-            remove_vehicles(road, cars, ranks)
+            if is_leaving:
+                remove_vehicles(road, cars, ranks)
             depart(road, lane, cars, ranks, live, p, profiles, dispositions, arcs)
             if is_command_due:
                 give_commands(road, cars, ranks, live, p)

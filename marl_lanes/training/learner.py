@@ -200,12 +200,19 @@ class Learner:
 
     def collect(self) -> TensorDictBase:
         """The next batch of steps."""
-        simulating, acting = self.env.seconds, self.policy.seconds
-        # Of workers it is known only how long they take together.
-        with self.timed("waiting" if self.collector.places else "collecting"):
+        counters = self.counters
+        before, simulating, acting = (
+            counters["seconds_collecting"],
+            self.env.seconds,
+            self.policy.seconds,
+        )
+        with self.timed("collecting"):
             batch = self.collector.next()
-        self.counters["seconds_simulating"] += self.env.seconds - simulating
-        self.counters["seconds_acting"] += self.policy.seconds - acting
+        counters["seconds_simulating"] += self.env.seconds - simulating
+        counters["seconds_acting"] += self.policy.seconds - acting
+        if self.collector.places:
+            # What the workers' time goes into is not known here.
+            counters["seconds_waiting"] += counters["seconds_collecting"] - before
         return batch
 
     def anneal(self) -> None:

@@ -8,11 +8,11 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 
 ACTIVITIES = {
-    "wait": "seconds_waiting",
     "simulate": "seconds_simulating",
     "act": "seconds_acting",
     "store": "seconds_storing",
     "learn": "seconds_learning",
+    "wait": "seconds_waiting",
 }
 """What a training is for, and the counters of it; it waits for workers, where it has some."""
 

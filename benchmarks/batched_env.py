@@ -1,0 +1,180 @@
+"""Batches: vehicle-steps/s of LaneChangeEnv and of the simulator, against a bare kernel.
+
+python benchmarks/batched_env.py [--rounds N] [--json FILE]
+
+The limit (limit.py) does the least that such a step must do, on as many roads and vehicles. In each
+row the contestants take turns (A B A B ...); medians. ``cost`` is that of the simulator.
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from limit import Limit
+from peers import is_installed, make_sumo
+from turns import (
+    Contestant,
+    Rate,
+    median,
+    median_ratio,
+    print_target,
+    read_options,
+    take_turns,
+    write_json,
+)
+
+from marl_lanes import LaneChangeEnv, Simulator
+
+SECONDS = 0.4
+"""How long each runs in a turn."""
+ENVS = (1, 8, 64, 512, 1024, 2048, 8192)
+ENDLESS: dict[str, Any] = {"num_agents": None, "horizon": None}
+DENSITIES = (10, 25, 50, 100, 200)
+"""Vehicles on a road of 5 km."""
+_CROSSING = 180.0
+"""[s] About what a vehicle takes for 5 km."""
+
+
+def make_limit(num_envs: int, num_vehicles: int, num_threads: int, length: float) -> Contestant:
+    """The bare kernel."""
+    roads = Limit(num_envs, num_vehicles, road_length=length)
+    bounds = np.linspace(0, num_envs, num_threads + 1).astype(int).tolist()
+    (first, *others) = list(pairwise(bounds))
+    pool = ThreadPoolExecutor(max(1, num_threads - 1))
+
+    def step() -> None:
+        pending = [pool.submit(roads.advance, *bounds) for bounds in others]
+        roads.advance(*first)
+        for future in pending:
+            future.result()
+
+    return _steps(step, lambda: num_vehicles * num_envs, num_envs)
+
+
+def make_simulator(num_envs: int, num_threads: int, overrides: Mapping[str, Any]) -> Contestant:
+    """The batch below both environments."""
+    simulator = Simulator("paper", num_envs, num_threads=num_threads, overrides=overrides)
+    simulator.reset()
+    return _steps(simulator.step, lambda: int(simulator.roads["num_vehicles"].sum()), num_envs)
+
+
+def make_env(num_envs: int, num_threads: int, overrides: Mapping[str, Any]) -> Contestant:
+    """LaneChangeEnv.step with zero actions."""
+    env = LaneChangeEnv("paper", num_envs, num_threads=num_threads, overrides=overrides)
+    data = env.reset()
+    data.update(env.full_action_spec.zero())
+    roads = env.simulator.roads
+    return _steps(lambda: env.step(data), lambda: int(roads["num_vehicles"].sum()), num_envs)
+
+
+def _steps(step: Callable[[], Any], count: Callable[[], int], num_envs: int) -> Contestant:
+    steps = max(2, 2000 // num_envs)
+
+    def advance() -> Rate:
+        for _ in range(steps):
+            step()
+        return Rate(steps * num_envs, steps * count())
+
+    return advance
+
+
+def density_overrides(num_vehicles: int) -> dict[str, Any]:
+    """5 km with about so many vehicles, warmed up until the first have crossed it."""
+    mean = 3 * _CROSSING / num_vehicles
+    return {
+        **ENDLESS,
+        "road": {"length": 5000.0},
+        "departures": {"interval": [0.9 * mean, 1.1 * mean]},
+        "max_vehicles": 2 * num_vehicles + 16,
+        "num_slots": 16,
+        "warmup": [1.3 * _CROSSING, 1.5 * _CROSSING],
+    }
+
+
+def run_row(
+    label: str, contestants: Mapping[str, Contestant], rounds: int, figures: dict[str, object]
+) -> dict[str, list[Rate]]:
+    """Turns of one row; prints and notes it."""
+    rates = take_turns(contestants, rounds, SECONDS)
+    rows = {name: median(values).vehicle_steps for name, values in rates.items()}
+    cost = 1e9 / rows["simulator"]
+    shown = "".join(f"{value / 1e6:12.2f}" for value in rows.values())
+    print(f"{label:26}{shown}{cost:10.1f}", flush=True)
+    figures[label] = {**rows, "nanoseconds": cost}
+    return rates
+
+
+def main() -> None:
+    """Run the rows, print the table and the targets, write the JSON."""
+    options = read_options(__doc__ or "", rounds=5)
+    torch.set_num_threads(1)
+    figures: dict[str, object] = {"rounds": options.rounds}
+    costs: dict[str, float] = {}
+    kept: dict[int, dict[str, list[Rate]]] = {}
+    print(f"{'million vehicle-steps/s':26}{'limit':>12}{'simulator':>12}{'env':>12}{'cost':>10} ns")
+    for num_threads in range(1, min(2, os.cpu_count() or 1) + 1):
+        for num_envs in ENVS:
+            if num_envs < num_threads:
+                continue
+            contestants = {
+                "limit": make_limit(num_envs, 16, num_threads, 1000.0),
+                "simulator": make_simulator(num_envs, num_threads, ENDLESS),
+                "env": make_env(num_envs, num_threads, ENDLESS),
+            }
+            label = f"{num_envs} roads, {num_threads} threads"
+            rates = run_row(label, contestants, options.rounds, figures)
+            if num_threads == 1:
+                kept[num_envs] = rates
+                costs[f"E{num_envs}"] = 1e9 / median(rates["simulator"]).vehicle_steps
+    for num_vehicles in DENSITIES:
+        overrides = density_overrides(num_vehicles)
+        contestants = {
+            "limit": make_limit(64, num_vehicles, 1, 5000.0),
+            "simulator": make_simulator(64, 1, overrides),
+            "env": make_env(64, 1, overrides),
+        }
+        label = f"64 roads, {num_vehicles} vehicles"
+        rates = run_row(label, contestants, options.rounds, figures)
+        costs[f"V{num_vehicles}"] = 1e9 / median(rates["simulator"]).vehicle_steps
+    print_targets(kept, costs, options.rounds, figures)
+    write_json(options.json, figures)
+
+
+def print_targets(
+    kept: Mapping[int, dict[str, list[Rate]]],
+    costs: Mapping[str, float],
+    rounds: int,
+    figures: dict[str, object],
+) -> None:
+    """The targets beside the figures."""
+    for num_envs, rates in kept.items():
+        if num_envs < 64:
+            continue
+        share = median_ratio(rates["simulator"], rates["limit"], "vehicle_steps")
+        print_target(f"share of the limit, {num_envs} roads", share, 0.5)
+    times = median_ratio(kept[1024]["simulator"], kept[1024]["env"], "steps")
+    print_target("time of LaneChangeEnv.step over simulator's", times, 1.5, is_least=False)
+    for axis, names in (
+        ("64 to 8192 roads", [f"E{e}" for e in ENVS if e >= 64]),
+        ("10 to 200 vehicles", [f"V{v}" for v in DENSITIES]),
+    ):
+        spread = max(costs[n] for n in names) / min(costs[n] for n in names)
+        print_target(f"cost, highest over lowest, {axis}", spread, 1.25, is_least=False)
+        figures[f"spread, {axis}"] = spread
+    if is_installed("libsumo"):
+        contestants = {
+            "libsumo": make_sumo()[0],
+            "simulator": make_simulator(1024, os.cpu_count() or 1, ENDLESS),
+        }
+        rates = take_turns(contestants, rounds, SECONDS)
+        factor = median_ratio(rates["simulator"], rates["libsumo"], "vehicle_steps")
+        print_target("simulator, all threads, over libsumo", factor, 100.0)
+        figures["ratio to libsumo"] = factor
+
+
+if __name__ == "__main__":
+    main()

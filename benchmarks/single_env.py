@@ -1,0 +1,99 @@
+"""One environment: ours beside highway-env, libsumo and VMAS, at equal traffic.
+
+python benchmarks/single_env.py [--rounds N] [--json FILE]
+
+The contestants take turns (A B C A B C ...); the table shows the medians of the rounds. Ours is the
+loop that a user writes, dicts in and dicts out, its resets with their warm-up included, on the
+scenario ``paper``: 1000 m, three lanes, a departure every 5 to 10 s in each. An env step of ours
+ends when an agent is live again; ``vehicle-steps`` counts every time step that passed.
+"""
+
+import statistics
+
+import numpy as np
+import torch
+from peers import is_installed, make_highway_env, make_sumo, make_vmas
+from turns import (
+    Contestant,
+    Rate,
+    median,
+    median_ratio,
+    print_target,
+    read_options,
+    take_turns,
+    write_json,
+)
+
+from marl_lanes import Simulator, parallel_env
+
+SECONDS = 1.0
+"""How long each runs in a turn."""
+VMAS_AGENTS = 20
+"""The most that its scenario takes."""
+
+
+def make_pettingzoo() -> Contestant:
+    """The loop that a user writes, with actions of zero."""
+    env = parallel_env("paper")
+    zero = np.zeros(1, np.float32)
+    roads = env.simulator.roads
+    env.reset(seed=0)
+
+    def advance() -> Rate:
+        passed = 0
+        for _ in range(20):
+            before = int(roads["step"][0])
+            if not env.agents:
+                env.reset()
+                before = -750  # the mean warm-up, 60 to 90 s
+            env.step(dict.fromkeys(env.agents, zero))
+            passed += int(roads["step"][0]) - before
+        return Rate(20, passed * int(roads["num_vehicles"][0]))
+
+    return advance
+
+
+def measure_traffic() -> int:
+    """Vehicles on the paper's road, in the mean, rounded."""
+    simulator = Simulator("paper", 64, overrides={"num_agents": None, "horizon": None})
+    simulator.reset()
+    counts = []
+    for _ in range(200):
+        simulator.step()
+        counts.append(float(simulator.roads["num_vehicles"].mean()))
+    return round(statistics.mean(counts))
+
+
+def main() -> None:
+    """Run the rounds, print the table, write the JSON."""
+    options = read_options(__doc__ or "", rounds=5)
+    torch.set_num_threads(1)
+    num_vehicles = measure_traffic()
+    contestants = {"parallel_env": make_pettingzoo()}
+    if is_installed("libsumo"):
+        contestants["libsumo, bare"], contestants["libsumo, four reads"] = make_sumo()
+    if is_installed("highway_env"):
+        contestants["highway-env"] = make_highway_env(num_vehicles)
+    if is_installed("vmas"):
+        contestants["VMAS road_traffic"] = make_vmas(VMAS_AGENTS)
+    rates = take_turns(contestants, options.rounds, SECONDS)
+    print(f"{num_vehicles} vehicles on the paper's road in the mean; {options.rounds} rounds")
+    print(f"{'':22} {'env steps/s':>14} {'vehicle-steps/s':>16} {'vehicles':>9}")
+    figures: dict[str, object] = {"vehicles": num_vehicles, "rounds": options.rounds}
+    for name, rows in rates.items():
+        row = median(rows)
+        vehicles = "" if name == "parallel_env" else f"{row.vehicle_steps / row.steps:9.1f}"
+        print(f"{name:22} {row.steps:14,.0f} {row.vehicle_steps:16,.0f} {vehicles}")
+        figures[name] = row._asdict()
+    targets = {"libsumo, bare": 1.0, "libsumo, four reads": 1.0, "highway-env": 300.0}
+    ours = rates["parallel_env"]
+    for name, bound in targets.items():
+        if name in rates:
+            value = median_ratio(ours, rates[name], "steps")
+            print_target(f"env steps/s of parallel_env over {name}", value, bound)
+            figures[f"ratio to {name}"] = {"value": value, "target": bound}
+    write_json(options.json, figures)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""Contestants that take turns, the medians of their figures, and the report of them."""
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Rate(NamedTuple):
+    """What a contestant has done, or did per second."""
+
+    steps: float
+    """Steps of environments, as their users count them."""
+    vehicle_steps: float
+    """Vehicles on the road times the time steps that passed."""
+
+
+Contestant = Callable[[], Rate]
+"""Advances a little, for some milliseconds, and returns what it has done."""
+
+
+def run_for(contestant: Contestant, seconds: float) -> Rate:
+    """Let it run for about ``seconds``; per second."""
+    steps = vehicle_steps = 0.0
+    start = time.perf_counter()
+    while (elapsed := time.perf_counter() - start) < seconds:
+        done = contestant()
+        steps += done.steps
+        vehicle_steps += done.vehicle_steps
+    return Rate(steps / elapsed, vehicle_steps / elapsed)
+
+
+def take_turns(
+    contestants: Mapping[str, Contestant], rounds: int, seconds: float
+) -> dict[str, list[Rate]]:
+    """A B C A B C ..., after one turn each that is not counted."""
+    for contestant in contestants.values():
+        run_for(contestant, seconds)
+    rates: dict[str, list[Rate]] = {name: [] for name in contestants}
+    for _ in range(rounds):
+        for name, contestant in contestants.items():
+            rates[name].append(run_for(contestant, seconds))
+    return rates
+
+
+def median(rates: list[Rate]) -> Rate:
+    """Figure by figure."""
+    return Rate(*(statistics.median(column) for column in zip(*rates, strict=True)))
+
+
+def median_ratio(ours: list[Rate], theirs: list[Rate], figure: str) -> float:
+    """The median over the rounds of ours over theirs: the machine's drift cancels in a round."""
+    pairs = zip(ours, theirs, strict=True)
+    column = Rate._fields.index(figure)
+    return statistics.median(a[column] / b[column] for a, b in pairs)
+
+
+def read_options(doc: str, rounds: int) -> argparse.Namespace:
+    """The options that every benchmark has."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument(
+        "--rounds", type=int, default=rounds, help="turns of each (default: %(default)s)"
+    )
+    parser.add_argument("--json", type=Path, help="write the figures to this file as well")
+    return parser.parse_args()
+
+
+def print_target(what: str, value: float, bound: float, *, is_least: bool = True) -> bool:
+    """One line: the figure, its target, whether it holds."""
+    holds = value >= bound if is_least else value <= bound
+    sign = ">=" if is_least else "<="
+    print(f"{what:58} {value:10.2f}  target {sign} {bound:g}: {'holds' if holds else 'MISSED'}")
+    return holds
+
+
+def write_json(path: Path | None, figures: Mapping[str, object]) -> None:
+    """The figures as JSON, where a path is given."""
+    if path is not None:
+        unfinished = path.with_name(path.name + ".part")
+        unfinished.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        unfinished.replace(path)
