@@ -57,7 +57,7 @@ def test_the_parts_are_the_whole(tmp_path):
     counters = learner.counters
     assert sum(share for _, share in learner.split.values()) == pytest.approx(1.0)
     # Nothing is counted twice: what is left over is not negative, nor is any part.
-    assert all(value > 0.0 for value, _ in learner.split.values())
+    assert all((value > 0.0) == (part != "wait") for part, (value, _) in learner.split.items())
     inside = counters["seconds_simulating"] + counters["seconds_acting"]
     assert inside < counters["seconds_collecting"]
     total = sum(value for value, _ in learner.split.values()) * learner.transitions * 1e-6
