@@ -176,7 +176,7 @@ class Simulator:
     @property
     def bytes_per_environment(self) -> float:
         """Memory of one road: its part of the state and of the actions."""
-        arrays = [*self.state.arrays, self._actions, self._follower_actions]
+        arrays = [*self.state.arrays, self.actions, self.follower_actions]
         return sum(array.nbytes for array in arrays) / self.num_envs
 
     def snapshot(self) -> bytes:
