@@ -65,14 +65,14 @@ class _YawAcceleration(Mu):
                 f"[{box.low.item():g}, {box.high.item():g}]"
             )
 
-    def initial_limit_logit(self) -> float:
+    def initial_limit_logit(self, floor: float = A_MAX_FLOOR) -> float:
         """What `limit` maps to the initial a_max."""
         share = min(self.initial_a_max / self.bound, 0.9)
-        return _logit(max((share - A_MAX_FLOOR) / (1 - A_MAX_FLOOR), A_MAX_FLOOR))
+        return _logit(max((share - floor) / (1 - floor), A_MAX_FLOOR))
 
-    def limit(self, logit: Tensor) -> Tensor:
-        """a_max in (0, bound] [rad/s^2]."""
-        return self.bound * (A_MAX_FLOOR + (1 - A_MAX_FLOOR) * torch.sigmoid(logit))
+    def limit(self, logit: Tensor, floor: Tensor | float = A_MAX_FLOOR) -> Tensor:
+        """a_max between a share of the bound and the bound [rad/s^2]."""
+        return self.bound * (floor + (1 - floor) * torch.sigmoid(logit))
 
 
 class PaperMu(_YawAcceleration):
@@ -117,27 +117,36 @@ class DampedMu(_YawAcceleration):
 
     relative_yaw_rate is yaw_rate - curvature speed; the speed that divides is 1 m/s or more. The
     gains k0 = p1 p2 p3, k1 = p1 p2 + p1 p3 + p2 p3, k2 = p1 + p2 + p3 place the poles of the
-    linear loop at -p1, -p2, -p3, each in [0.4, 2.4] rad/s: it settles whatever is learned.
+    linear loop at -p1, -p2, -p3, each in [1.0, 2.4] rad/s: it settles whatever is learned.
     Four networks give the poles, initially 1.4 rad/s each, and a_max, initially 0.17 rad/s^2.
 
-    Beyond the reference lane's centre, where a change that is turned back begins its way home,
-    poles and a_max rise to their upper ends, linearly over 1 m: with small ones the vehicle swings
-    out over the road's edge.
+    A change that is turned back must end before the road's edge, whatever is learned: a_max is
+    never below 0.03 k0 + 0.01 bound, for a loop that saturates longer swings out; and beyond the
+    reference lane's centre poles and a_max rise to their upper ends, linearly over 1 m.
     """
 
     needs = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
     initial_a_max = 0.17
-    slowest_pole, fastest_pole = 0.4, 2.4
+    slowest_pole, fastest_pole = 1.0, 2.4
+    initial_pole = 1.4
     min_speed = 1.0
+    linear_angle = 0.03
     recovery_distance = 1.0
 
     def __init__(
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
         super().__init__(name, features, box)
-        # Networks of a_max and of each pole; the logits 0 are the middle of the poles' range.
-        initial = (self.initial_limit_logit(), 0.0, 0.0, 0.0)
+        # Networks of a_max and of each pole.
+        floor = min(self.limit_floor(torch.tensor(self.initial_pole**3)).item(), 0.9)
+        span = self.fastest_pole - self.slowest_pole
+        pole = _logit((self.initial_pole - self.slowest_pole) / span)
+        initial = (self.initial_limit_logit(floor), pole, pole, pole)
         self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
+
+    def limit_floor(self, gain: Tensor) -> Tensor:
+        """The least a_max for k0 = `gain`, as a share of the bound."""
+        return (A_MAX_FLOOR + self.linear_angle * gain / self.bound).clamp(max=1.0)
 
     def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
         """The greedy yaw acceleration, (..., 1) [rad/s^2]."""
@@ -148,12 +157,13 @@ class DampedMu(_YawAcceleration):
         shares = torch.sigmoid(torch.cat(logits, dim=-1))
         shares = shares + beyond * (1.0 - shares)
         p1, p2, p3 = (self.slowest_pole + span * shares).split(1, dim=-1)
+        gain = p1 * p2 * p3
         demand = (
-            p1 * p2 * p3 * deviation / speed.clamp(min=self.min_speed)
+            gain * deviation / speed.clamp(min=self.min_speed)
             - (p1 * p2 + p1 * p3 + p2 * p3) * yaw
             - (p1 + p2 + p3) * (yaw_rate - curvature * speed)
         )
-        limit = self.limit(limit)
+        limit = self.limit(limit, self.limit_floor(gain))
         limit = limit + beyond * (self.bound - limit)
         return limit * torch.tanh(demand / limit)
 
