@@ -14,7 +14,7 @@ def make_replay(
     """An empty replay buffer.
 
     Args:
-        config: its capacity, its storage, the size of a batch.
+        config: its capacity and its storage.
         folder: where ``storage: memmap`` has its files. They are working memory: what an earlier
             process left there is removed, for it may be half written.
         bytes_per_transition: size of a row.
@@ -36,4 +36,4 @@ def make_replay(
                 f"the replay buffer and the training state take {needed} bytes, {free} are free"
             )
         storage = LazyMemmapStorage(config.capacity, scratch_dir=str(folder))
-    return TensorDictReplayBuffer(storage=storage, batch_size=config.batch_size)
+    return TensorDictReplayBuffer(storage=storage)
