@@ -101,8 +101,7 @@ def measure_learner(learner: Learner, rounds: int) -> Figures:
             learner.replay.extend(live_transitions(batch))
 
         def update() -> None:
-            for _ in range(NUM_UPDATES):
-                learner.update()
+            learner.update(NUM_UPDATES)
 
         storing.append(seconds(store) / size)
         updating.append(seconds(update) / NUM_UPDATES)

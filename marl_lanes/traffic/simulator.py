@@ -280,7 +280,7 @@ class Simulator:
     def _run(self, mode: int, mask: NDArray[np.bool_]) -> None:
         if self._kernel is None:
             self._kernel = entry_point(run, (0, self.num_envs, mode, mask, *self._arguments))
-        run_roads = self._kernel
+        run_roads: Callable[..., None] = self._kernel
         if self.num_threads == 1:
             run_roads(0, self.num_envs, mode, mask, *self._arguments)
             return
