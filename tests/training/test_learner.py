@@ -225,7 +225,7 @@ def test_many_updates_at_once_are_those_one_by_one(tmp_path, monkeypatch):
         torch.manual_seed(9)
         losses = [loss for number in numbers for loss in learner.update(number)]
         results.append((losses, weights_of(learner), torch.rand(3)))
-        learner.collector.shutdown()
+        learner.close()
         assert learner.counters["updates"] == len(losses) == 7
         assert all(loss > 0.0 for loss in losses)
     for losses, weights, random in results[1:]:
@@ -240,7 +240,7 @@ def test_each_network_learns_at_its_rate(tmp_path, option):
     learner = filled(tmp_path, f"optimizer.{option}", "optimizer.max_gradient_norm=null")
     before = weights_of(learner)
     learner.update(1)
-    learner.collector.shutdown()
+    learner.close()
     after = weights_of(learner)
     # Adam's first step is the rate, whatever the gradient.
     for part, rate in (("value", 1e-3), ("factor_logits", 1e-3), ("mu", float(option[17:]))):
@@ -256,7 +256,7 @@ def test_a_compiled_loss_gives_the_same_losses(tmp_path):
         learner = filled(tmp_path / option, f"optimizer.compile={option}")
         torch.manual_seed(9)
         results.append(learner.update(5))
-        learner.collector.shutdown()
+        learner.close()
     # Adam divides by the gradient's size: the rounding of a tiny one is a whole step.
     assert results[0] == pytest.approx(results[1], rel=1e-3)
 
