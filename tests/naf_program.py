@@ -38,7 +38,7 @@ def start(*options, folder, stderr=subprocess.PIPE):
 
 def run_program(*options, folder):
     process = start(*options, folder=folder)
-    out, err = process.communicate(timeout=200)
+    out, err = process.communicate(timeout=500)
     return process.returncode, out, err
 
 
