@@ -252,7 +252,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, turns, tmp_pa
             break
         time.sleep(0.002)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=100)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 0, err[-3000:]
     assert "Traceback" not in err
     assert "resume=run" in out

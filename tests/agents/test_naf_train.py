@@ -152,7 +152,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(whole, tmp_path):
             break
         time.sleep(0.005)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=100)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 0, err[-3000:]
     assert "Traceback" not in err
     assert f"resume={run.name}" in out

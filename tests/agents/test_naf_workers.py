@@ -61,13 +61,13 @@ def test_interruptions_and_deaths_change_nothing(reference, tmp_path):
     process, _ = started(*OPTIONS, "collector=multi", folder=tmp_path, num_models=1)
     # As Ctrl-C in a terminal: the workers receive it as well.
     os.killpg(process.pid, signal.SIGINT)
-    out, _ = process.communicate(timeout=200)
+    out, _ = process.communicate(timeout=400)
     assert process.returncode == 0, said(tmp_path)[-3000:]
     assert "interrupted; continue with resume=run" in out
 
     process, (_, pid) = started("resume=run", folder=tmp_path, num_models=2)
     os.kill(pid, signal.SIGKILL)
-    process.communicate(timeout=200)
+    process.communicate(timeout=400)
     err = said(tmp_path)
     assert process.returncode == 1, err[-3000:]
     assert f"error: died: worker 1 of 2 (process {pid} on " in err
