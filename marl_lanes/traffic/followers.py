@@ -145,29 +145,35 @@ def _guard(car: Any, limit: float, lanes: Any, vehicles: Any, agents: Any, const
 
 
 @internal
+def _bounded(car: Any, wanted: float, limit: float, braking: float, top: float, c: Any) -> float:
+    """An action within [-braking, limit], and no faster than ``top`` after the step [m/s^2]."""
+    acceleration = min(max(wanted, -braking), limit)
+    room = (top - car.speed) / c.time_step
+    return float(min(acceleration, max(room, 0.0)))
+
+
+@internal
 def _drive_external(
-    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, constants: Any
+    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, c: Any
 ) -> float:
     """A follower's action, within its bounds, its speed limit and the guard [m/s^2]."""
-    limit = constants.external_max_acceleration
-    acceleration = min(max(wanted, -constants.external_max_braking), limit)
-    room = (constants.external_max_speed - car.speed) / constants.time_step
-    acceleration = min(acceleration, max(room, 0.0))
-    if constants.is_external_guarded:
-        acceleration = min(acceleration, _guard(car, limit, lanes, vehicles, agents, constants))
+    limit = c.external_max_acceleration
+    braking, top = c.external_max_braking, c.external_max_speed
+    acceleration = _bounded(car, wanted, limit, braking, top, c)
+    if c.is_external_guarded:
+        acceleration = min(acceleration, _guard(car, limit, lanes, vehicles, agents, c))
     return float(acceleration)
 
 
 @internal
 def _drive_by_agent(
-    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, constants: Any
+    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, c: Any
 ) -> float:
     """A changer's second action, within its bounds, its speed limit and the guard [m/s^2]."""
-    limit = constants.longitudinal_max_acceleration
-    acceleration = min(max(wanted, -constants.longitudinal_max_braking), limit)
-    room = (constants.longitudinal_max_speed - car.speed) / constants.time_step
-    acceleration = min(acceleration, max(room, 0.0))
-    return float(min(acceleration, _guard(car, limit, lanes, vehicles, agents, constants)))
+    limit = c.longitudinal_max_acceleration
+    braking, top = c.longitudinal_max_braking, c.longitudinal_max_speed
+    acceleration = _bounded(car, wanted, limit, braking, top, c)
+    return float(min(acceleration, _guard(car, limit, lanes, vehicles, agents, c)))
 
 
 @internal

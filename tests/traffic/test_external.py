@@ -143,6 +143,8 @@ def test_given_policies_come_before_registered_ones():
     simulator = driven(brake_checker)
     until_paired(simulator)
     advance(simulator)
+    # The registered one's nan would have been refused.
+    assert np.isfinite(simulator.follower_actions).all()
 
 
 @pytest.mark.parametrize(
