@@ -9,12 +9,27 @@ def two_nodes():
     """The cluster's address, HOST:PORT; its processes end with the block."""
     # Ray asks the network for nothing: no usage report.
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    from ray.cluster_utils import Cluster
-
-    node = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
-    cluster = Cluster(initialize_head=True, head_node_args={**node, "include_dashboard": False})
+    cluster = _start()
     try:
-        cluster.add_node(**node)
         yield cluster.address
     finally:
         cluster.shutdown()
+
+
+def _start(attempts=3):
+    """Both nodes. Ray gives each some seconds to start, whatever else the machine does."""
+    from ray.cluster_utils import Cluster
+
+    node = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
+    while True:
+        attempts -= 1
+        cluster = Cluster()
+        try:
+            cluster.add_node(**node, include_dashboard=False)
+            cluster.add_node(**node)
+        except Exception:
+            cluster.shutdown()
+            if not attempts:
+                raise
+        else:
+            return cluster
