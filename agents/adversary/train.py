@@ -8,6 +8,7 @@ With rounds=0 one follower learns against the changer. With rounds=K followers a
 take turns, K times; the changer learns against all followers so far.
 """
 
+import csv
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -49,13 +50,24 @@ from marl_lanes.training.config import (
 )
 from marl_lanes.training.files import write_atomically, write_json
 from marl_lanes.training.learner import EvaluateModel, Learner
-from marl_lanes.training.run_folder import FINAL_MODEL, STATE_FILE, TIMES_FILE, check_empty
+from marl_lanes.training.run_folder import (
+    EVALUATIONS_FILE,
+    FINAL_MODEL,
+    STATE_FILE,
+    TIMES_FILE,
+    check_empty,
+)
 from marl_lanes.training.transitions import LivePolicy
 
 MODEL = f"checkpoints/{FINAL_MODEL}"
 """The trained policy in the folder of a phase."""
 OBJECTIVES = ("adversarial", "cooperative")
+CRITERION = "mean_episode_reward"
+"""The metric by which the hardened changer is chosen."""
+BEFORE = "before"
+"""The changer before a phase, beside the phase's saved models."""
 EVALUATED = (
+    CRITERION,
     "completion_rate",
     "abort_rate",
     "missed_rate",
@@ -175,7 +187,7 @@ class Run:
             pool[name] = load_follower(follower, self.scenario)
             if not self._train_changer(folder / "changer", changer, pool, phase=2 * turn + 1):
                 return None
-            changer = folder / "changer" / MODEL
+            changer = self._choose_changer(folder / "changer", changer, pool)
         _copy(changer, self.output / "changer.pt")
         result = self._compare(
             {"unhardened": self.changer, "hardened": changer},
@@ -220,9 +232,7 @@ class Run:
     ) -> bool:
         """Train the changer on among the frozen followers of the pool and the scripted ones."""
         config = self.config.hardening
-        scripted = self.config.scripted
-        share = (1.0 - sum(scripted.values())) / len(pool)
-        mix = {"followers": {"mix": dict.fromkeys(pool, share) | scripted}}
+        mix = self._mix(pool)
         scenario = load_scenario(self.scenario, mix)
 
         def make() -> Learner:
@@ -241,6 +251,30 @@ class Run:
             return _evaluate(scenario, greedy_policy(network), pool, config.evaluation)
 
         return self._train(folder, make, evaluate_model)
+
+    def _choose_changer(
+        self, folder: Path, changer: Path, pool: Mapping[str, FollowerPolicy]
+    ) -> Path:
+        """The best of the phase's saved models and the changer before it.
+
+        That is the one of the largest mean episode reward among the followers of the phase, in
+        the evaluation's traffic.
+        """
+        scenario = load_scenario(self.scenario, self._mix(pool))
+        policy = greedy_policy(load_checkpoint(changer, self.scenario).network)
+        before = _evaluate(scenario, policy, pool, self.config.hardening.evaluation)
+        rewards = {BEFORE: before[CRITERION]}
+        with (folder / EVALUATIONS_FILE).open(newline="", encoding="utf-8") as file:
+            rewards |= {row["checkpoint"]: float(row[CRITERION]) for row in csv.DictReader(file)}
+        chosen = max(rewards, key=rewards.__getitem__)
+        write_json(folder / "choice.json", {CRITERION: rewards, "chosen": chosen})
+        return changer if chosen == BEFORE else folder / "checkpoints" / chosen
+
+    def _mix(self, pool: Mapping[str, FollowerPolicy]) -> dict[str, Any]:
+        """The followers while the changer learns: the pool's in equal shares, and the scripted."""
+        scripted = self.config.scripted
+        share = (1.0 - sum(scripted.values())) / len(pool)
+        return {"followers": {"mix": dict.fromkeys(pool, share) | scripted}}
 
     def _train(
         self, folder: Path, make: Callable[[], Learner], evaluate_model: EvaluateModel

@@ -24,6 +24,9 @@ REPLAY_FOLDER = "replay"
 TIMES_FILE = "training.json"
 """File name of the seconds that the training took; it is there when the training is over."""
 
+EVALUATIONS_FILE = "evaluations.csv"
+"""File name of the saved models' metrics."""
+
 EVALUATED = ("mean_return", "completion_rate", "mean_num_steps")
 """The metrics of each saved model that go into its table."""
 
@@ -105,7 +108,7 @@ class RunFolder:
             path / "maneuvers.csv", ("transitions", "return", "outcome"), until=until
         )
         self.evaluations = Table(
-            path / "evaluations.csv",
+            path / EVALUATIONS_FILE,
             ("transitions", "checkpoint", *evaluated),
             until=until,
         )

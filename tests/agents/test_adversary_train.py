@@ -7,6 +7,7 @@ import importlib.util
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -197,29 +198,67 @@ def test_turns_give_a_pool_a_hardened_changer_and_a_report(turns):
     assert names(run) == {"config.yaml", "round_1", "round_2", "pool", "changer.pt", "report.json"}
     for number in (1, 2):
         assert names(run / f"round_{number}") == {"follower", "changer"}
-        for phase in ("follower", "changer"):
-            assert names(run / f"round_{number}" / phase) == PHASE_FILES
+        assert names(run / f"round_{number}" / "follower") == PHASE_FILES
+        assert names(run / f"round_{number}" / "changer") == {*PHASE_FILES, "choice.json"}
         follower = run / "pool" / f"pool_{number}.pt"
         trained = run / f"round_{number}" / "follower" / "checkpoints" / "final.pt"
         assert follower.read_bytes() == trained.read_bytes()
         load_follower(follower, PAPER)
-    changers = [run / f"round_{number}" / "changer" / "checkpoints" / "final.pt" for number in "12"]
-    assert (run / "changer.pt").read_bytes() == changers[1].read_bytes()
+    assert (run / "changer.pt").read_bytes() == chosen_changers(run)[2].read_bytes()
     load_checkpoint(run / "changer.pt", PAPER)
-    stages = [run.parent / "changer.pt", *changers]
-    assert not is_same(weights(stages[0]), weights(stages[1]))
-    assert not is_same(weights(stages[1]), weights(stages[2]))
     found = pairs(run / "report.json")
     kinds = ("cooperative", "neutral", "adversarial", "pool_1", "pool_2")
     assert list(found) == [(one, kind) for one in ("unhardened", "hardened") for kind in kinds]
     assert "hardened" in out
 
 
+def chosen_changers(run):
+    """The changer before the first round and after each of the two."""
+    changers = [run.parent / "changer.pt"]
+    for number in (1, 2):
+        folder = run / f"round_{number}" / "changer"
+        chosen = json.loads((folder / "choice.json").read_text(encoding="utf-8"))["chosen"]
+        changers.append(changers[-1] if chosen == "before" else folder / "checkpoints" / chosen)
+    return changers
+
+
+def test_the_changer_learns(turns):
+    run, _ = turns
+    for number in (1, 2):
+        folder = run / f"round_{number}" / "changer" / "checkpoints"
+        first, final = min(folder.glob("step_*.pt")), folder / "final.pt"
+        assert not is_same(weights(first), weights(final))
+
+
+def test_the_best_changer_of_a_phase_is_chosen(program, turns, tmp_path, monkeypatch):
+    run, _ = turns
+    monkeypatch.chdir(run.parent)
+    phase = tmp_path / "changer"
+    shutil.copytree(run / "round_1" / "changer", phase)
+    choice = json.loads((phase / "choice.json").read_text(encoding="utf-8"))
+    rewards = choice["mean_episode_reward"]
+    assert set(rewards) == {"before", *names(phase / "checkpoints")}
+    assert rewards[choice["chosen"]] == max(rewards.values())
+    saved = {row["checkpoint"]: row for row in rows(phase / "evaluations.csv")}
+    for name in names(phase / "checkpoints"):
+        assert float(saved[name]["mean_episode_reward"]) == rewards[name]
+
+    unused = program.Run(given(program, "rounds=2", f"output={tmp_path / 'run'}"))
+    pool = {"pool_1": load_follower(run / "pool" / "pool_1.pt", PAPER)}
+    before = run.parent / "changer.pt"
+    for best in ("final.pt", min(names(phase / "checkpoints")), None):
+        with (phase / "evaluations.csv").open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow(["checkpoint", "mean_episode_reward"])
+            table.writerows((name, 1.0 if name == best else -1e9) for name in saved)
+        expected = before if best is None else phase / "checkpoints" / best
+        assert unused._choose_changer(phase, before, pool) == expected
+
+
 def test_the_changer_goes_on_from_the_one_before(turns):
     """Stage one keeps mu: the first saved model of a phase has that of the phase's beginning."""
     run, _ = turns
-    before = [run.parent / "changer.pt", run / "round_1" / "changer" / "checkpoints" / "final.pt"]
-    for number, path in enumerate(before, 1):
+    for number, path in enumerate(chosen_changers(run)[:2], 1):
         first = min((run / f"round_{number}" / "changer" / "checkpoints").glob("step_*.pt"))
         assert torch.load(first, weights_only=True)["transitions"] < 120
         one, other = weights(path), weights(first)
@@ -263,7 +302,9 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, turns, tmp_pa
     assert (run / "round_1" / "follower" / "resume.pt").stat().st_mtime_ns == stamp
     tables = sorted(path.relative_to(reference) for path in reference.rglob("*.csv"))
     assert len(tables) == 12
-    for name in [*tables, Path("report.json")]:
+    choices = sorted(path.relative_to(reference) for path in reference.rglob("choice.json"))
+    assert len(choices) == 2
+    for name in [*tables, *choices, Path("report.json")]:
         assert (run / name).read_bytes() == (reference / name).read_bytes(), name
     for name in ("changer.pt", "pool/pool_1.pt", "pool/pool_2.pt"):
         assert is_same(weights(run / name), weights(reference / name)), name
