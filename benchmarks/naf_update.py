@@ -164,6 +164,7 @@ def make_learner(
         OptimizerConfig(
             learning_rate=RATE,
             mu_learning_rate=RATE,
+            final_rate=1.0,
             max_gradient_norm=None,
             transitions_per_update=1.0,
             pretraining_transitions=0,

@@ -71,6 +71,8 @@ class OptimizerConfig:
     """Step size of M and V."""
     mu_learning_rate: float = MISSING
     """Step size of mu: smaller, V keeps up with the policy that it has to value."""
+    final_rate: float = MISSING
+    """Share of both step sizes that is left at the end; they fall linearly through stage two."""
     max_gradient_norm: float | None = MISSING
     """Gradients are scaled down to this norm; null: not."""
     transitions_per_update: float = MISSING
@@ -284,6 +286,8 @@ def check_learner(config: LearnerConfig, prefix: str = "") -> None:
     _check_seed(prefix + "evaluation.seed", config.evaluation.seed)
     storage = config.replay.storage
     require(storage in {"memory", "memmap"}, prefix + "replay.storage", storage, "memory, memmap")
+    final_rate = config.optimizer.final_rate
+    require(0.0 < final_rate <= 1.0, prefix + "optimizer.final_rate", final_rate, "in (0, 1]")
     loss, exploration = config.loss, config.exploration
     require(0.0 <= loss.gamma <= 1.0, prefix + "loss.gamma", loss.gamma, "between 0 and 1")
     require(0.0 < loss.tau <= 1.0, prefix + "loss.tau", loss.tau, "above 0 and at most 1")

@@ -97,6 +97,7 @@ class Learner:
             (network.mu, config.optimizer.mu_learning_rate),
         ):
             rates.setdefault(rate, []).extend(part.parameters())
+        self.rates = tuple(rates)
         # Each group of parameters is a call of its own.
         self.optimizer = torch.optim.Adam(
             [{"params": values, "lr": rate} for rate, values in rates.items()], fused=True
@@ -216,12 +217,18 @@ class Learner:
         return batch
 
     def anneal(self) -> None:
-        """Set the exploration noise and the stage for the transitions to come."""
+        """Set noise, step sizes and stage for the transitions to come."""
         exploration = self.config.exploration
         share = min(1.0, self.transitions / max(1, exploration.annealing_transitions))
         sigma = exploration.initial_sigma
         self.noise.sigma.fill_(sigma + share * (exploration.final_sigma - sigma))
-        is_stage_one = self.transitions < self.config.optimizer.pretraining_transitions
+        optimizer = self.config.optimizer
+        stage_one = optimizer.pretraining_transitions
+        stage_two = max(1, self.config.collector.total_transitions - stage_one)
+        share = min(1.0, max(0, self.transitions - stage_one) / stage_two)
+        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
+            group["lr"] = rate * (1.0 - share * (1.0 - optimizer.final_rate))
+        is_stage_one = self.transitions < stage_one
         self.network.mu_frozen = is_stage_one
         self.loss.value_network.mu_frozen = is_stage_one
 

@@ -249,6 +249,23 @@ def test_each_network_learns_at_its_rate(tmp_path, option):
         assert max(steps) == pytest.approx(rate, rel=1e-2), part
 
 
+def test_step_sizes_fall_through_stage_two(tmp_path):
+    learner = filled(
+        tmp_path,
+        "optimizer.learning_rate=0.001",
+        "optimizer.mu_learning_rate=0.0002",
+        "optimizer.final_rate=0.1",
+        "optimizer.pretraining_transitions=1000",
+        "collector.total_transitions=3000",
+    )
+    for transitions, share in ((0, 1.0), (1000, 1.0), (2000, 0.55), (3000, 0.1), (3500, 0.1)):
+        learner.counters["transitions"] = transitions
+        learner.anneal()
+        rates = [group["lr"] for group in learner.optimizer.param_groups]
+        assert rates == pytest.approx([0.001 * share, 0.0002 * share])
+    learner.close()
+
+
 @pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
 def test_a_compiled_loss_gives_the_same_losses(tmp_path):
     results = []
