@@ -12,9 +12,11 @@ def test_collection_pauses_and_is_as_it_was_afterwards(is_enabled):
     was_enabled = gc.isenabled()
     try:
         (gc.enable if is_enabled else gc.disable)()
-        with pytest.raises(KeyError), uncollected():
+        with uncollected():
             assert not gc.isenabled()
-            raise KeyError
+        assert gc.isenabled() is is_enabled
+        with pytest.raises(KeyError), uncollected():
+            {}["an import that fails"]
         assert gc.isenabled() is is_enabled
     finally:
         (gc.enable if was_enabled else gc.disable)()
