@@ -34,6 +34,7 @@ from marl_lanes.training.config import (
     ReplayConfig,
 )
 from marl_lanes.training.learner import Learner
+from marl_lanes.training.replay import make_replay
 
 TARGETS = {64: 1.3, 1024: 1.1}
 """Time of an update over that of the bare one, both eager: at most this."""
@@ -135,7 +136,7 @@ def _batched(rows: Tensor, layers: Sequence[Tensor]) -> Tensor:
     return torch.baddbmm(layers[5], hidden, layers[4])
 
 
-def make_replay(network: NAFNetwork) -> dict[str, Tensor]:
+def make_transitions(network: NAFNetwork) -> dict[str, Tensor]:
     """Made-up transitions, in the features' units."""
     generator = torch.Generator().manual_seed(1)
 
@@ -159,7 +160,9 @@ def make_learner(
     """A learner with the transitions in its replay buffer; it does not collect any."""
     config = LearnerConfig(
         CollectorConfig(num_envs=1, steps_per_batch=1, total_transitions=1),
-        ReplayConfig(capacity=CAPACITY, batch_size=batch_size, warmup_transitions=0),
+        ReplayConfig(
+            capacity=CAPACITY, storage="memory", batch_size=batch_size, warmup_transitions=0
+        ),
         LossConfig(gamma=GAMMA, target_update="soft", tau=TAU, target_interval=1),
         OptimizerConfig(
             learning_rate=RATE,
@@ -170,9 +173,16 @@ def make_learner(
             pretraining_transitions=0,
             compile=is_compiled,
         ),
-        ExplorationConfig(initial_sigma=0.1, final_sigma=0.1, annealing_transitions=1),
+        ExplorationConfig(
+            initial_sigma=0.1,
+            final_sigma=0.1,
+            annealing_transitions=1,
+            longitudinal_factor=1.0,
+        ),
     )
     learner = Learner(config, LaneChangeEnv("paper"), network)
+    # A training makes it when it begins, in its run folder; one in memory needs none.
+    learner.replay = make_replay(config.replay, Path("unused"), 0)
     is_end = replay["terminated"]
     ends = {"done": is_end, "terminated": is_end, "truncated": torch.zeros_like(is_end)}
     following = {"observation": replay["next_observation"], "reward": replay["reward"], **ends}
@@ -214,7 +224,7 @@ def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, An
     for mode in ("eager", "compiled") if has_compiled else ("eager",):
         torch.manual_seed(0)
         network = make_network(load_scenario("paper"), "paper")
-        replay = make_replay(network)
+        replay = make_transitions(network)
         is_compiled = mode == "compiled"
         bare = BareUpdate(network, replay, batch_size, is_compiled=is_compiled)
         learner = make_learner(network, replay, batch_size, is_compiled=is_compiled)

@@ -7,6 +7,8 @@ import torch.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from marl_lanes.starting import uncollected
+
 if TYPE_CHECKING:
     from marl_lanes.envs.batched import LaneChangeEnv
     from marl_lanes.envs.parallel import env, parallel_env
@@ -59,7 +61,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_HOME_OF[name]), name)
+    with uncollected():
+        value = getattr(import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value
 

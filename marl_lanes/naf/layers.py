@@ -1,7 +1,7 @@
 """What the networks of V, M and mu are made of: the box of actions, and tanh networks."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -35,11 +35,28 @@ class ActionBox(nn.Module):
             raise ValueError(f"need finite action_low < action_high, got {low} and {high}")
         self.register_buffer("low", lower)
         self.register_buffer("high", upper)
+        self._half_range: tuple[tuple[Tensor, int, Tensor, int], Tensor] | None = None
 
     @property
     def half_range(self) -> Tensor:
-        """(high - low) / 2, (action_dim,), in action units."""
-        return (self.high - self.low) / 2
+        """(high - low) / 2, (action_dim,), in action units. Not to be changed in place."""
+        low, high = self.low, self.high
+        if torch.compiler.is_compiling() or low.is_inference() or high.is_inference():
+            return (high - low) / 2
+        # Kept for as long as the bounds are the same tensors, unchanged. A buffer would be one
+        # more entry of state dicts: a loss writes those of its parameters with all their buffers.
+        if self._half_range is not None:
+            (old_low, low_version, old_high, high_version), value = self._half_range
+            if (
+                low is old_low
+                and high is old_high
+                and low._version == low_version
+                and high._version == high_version
+            ):
+                return value
+        value = (high - low) / 2
+        self._half_range = (low, low._version, high, high._version), value
+        return value
 
     @property
     def centre(self) -> Tensor:
@@ -87,6 +104,13 @@ class Heads(nn.Module):
                 self.register_parameter(name, nn.Parameter(torch.empty(shape)))
         self.reset_parameters()
 
+    def _values(self) -> Mapping[str, Tensor]:
+        """Weights and biases by name."""
+        if len(self._parameters) == 2 * self.num_layers:
+            return self._parameters  # type: ignore[return-value]
+        # Tensors that are no parameters have taken their place (TensorDict.to_module).
+        return {name: getattr(self, name) for names in self.names for name in names}
+
     def layer(self, index: int) -> tuple[Tensor, Tensor]:
         """Weight and bias of a layer."""
         weight, bias = self.names[index]
@@ -115,6 +139,8 @@ class Heads(nn.Module):
             observation: (..., in_features).
             params: weights and biases to use instead of its own, by their names here.
         """
+        # A plain dict: look-ups in a tensordict take a good part of what the layers take.
+        values = self._values() if params is None else dict(params.items())
         rows = observation
         if observation.ndim != 2:
             rows = observation.flatten(end_dim=-2) if observation.ndim > 1 else observation[None]
@@ -124,12 +150,11 @@ class Heads(nn.Module):
         for index, (weight, bias) in enumerate(self.names):
             if index:
                 hidden = torch.tanh(hidden)
-            if params is None:
-                hidden = product(getattr(self, bias), hidden, getattr(self, weight))
-            else:
-                hidden = product(params.get(bias), hidden, params.get(weight))
+            hidden = product(values[bias], hidden, values[weight])
         if not is_single:
-            hidden = hidden.transpose(0, 1).flatten(1)
+            # For networks of one output a view, for others a copy.
+            is_one = hidden.shape[-1] == 1
+            hidden = hidden.squeeze(-1).mT if is_one else hidden.transpose(0, 1).flatten(1)
         if observation.ndim == 2:
             return hidden
         return hidden.reshape(*observation.shape[:-1], hidden.shape[-1])

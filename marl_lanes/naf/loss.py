@@ -207,14 +207,14 @@ class NAFLoss(LossModule):
         observation = tensordict.get(network.observation_key).detach()
         action = tensordict.get(network.action_key).detach()
         with self._parameters_in_place():
-            prediction = network.action_value(observation, action).squeeze(-1)
-            target = self._target(tensordict).squeeze(-1)
+            prediction = network.action_value(observation, action)
+            target = self._target(tensordict)
 
-        loss = distance_loss(prediction, target, self.loss_function)
+        loss = distance_loss(prediction, target, self.loss_function).squeeze(-1)
         if self.loss_function == "l2" and self.reduction != "none":
             priority = loss.detach()
         else:
-            priority = (prediction.detach() - target).square()
+            priority = (prediction.detach() - target).square().squeeze(-1)
         if tensordict.device is not None:
             priority = priority.to(tensordict.device)
         tensordict.set(self.tensor_keys.priority, priority, inplace=True)
@@ -224,7 +224,7 @@ class NAFLoss(LossModule):
             # A replay buffer weighs rows; the agents of a row share its weight.
             weights = self._expand_loss_mask(weights, loss)
         loss = self._reduce_loss(loss, tensordict=tensordict, weights=weights)
-        output = TensorDict(loss=loss)
+        output = TensorDict({"loss": loss}, [])
         self._clear_weakrefs(
             tensordict, output, "value_network_params", "target_value_network_params"
         )
@@ -259,7 +259,8 @@ class NAFLoss(LossModule):
         # The network's own maximum, not the estimator's call of the whole network: it skips mu
         # and M where V is all it takes.
         network = self.value_network
-        observation = tensordict.get(unravel_key(("next", network.observation_key)))
+        following = tensordict.get("next")
+        observation = following.get(network.observation_key)
         next_value = network.max_value(observation, self.target_value_network_params)
         estimator = self.value_estimator
         target: Tensor
@@ -267,12 +268,15 @@ class NAFLoss(LossModule):
             keys = estimator.tensor_keys
             if tensordict.get(keys.steps_to_next_obs, None) is None:
                 # What it would do, with fewer look-ups.
-                reward = tensordict.get(("next", keys.reward))
-                terminated = tensordict.get(("next", keys.terminated), None)
+                reward = following.get(keys.reward)
+                terminated = following.get(keys.terminated, None)
                 if terminated is None:
-                    terminated = tensordict.get(("next", keys.done))
+                    terminated = following.get(keys.done)
                 if next_value.shape == reward.shape == terminated.shape:
-                    target = reward + estimator.gamma.to(reward.device) * ~terminated * next_value
+                    gamma = estimator.gamma
+                    if gamma.device != reward.device:
+                        gamma = gamma.to(reward.device)
+                    target = reward + gamma * ~terminated * next_value
                     return target
         target = estimator.value_estimate(tensordict, next_value=next_value)
         return target

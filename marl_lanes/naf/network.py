@@ -156,9 +156,9 @@ class NAFNetwork(TensorDictModuleBase):
         factor = None
         if action is not None:
             factor = self._factor(normalised)
-            q = value + self._advantage(factor, mu, action)
+            q = value - self._penalty(factor, mu, action)
             tensordict.set(self.action_value_key, q)
-        tensordict.set(self.value_key, value + self._clipping(normalised, mu, factor))
+        tensordict.set(self.value_key, value - self._clipping(normalised, mu, factor))
         return tensordict
 
     def action_value(self, observation: Tensor, action: Tensor) -> Tensor:
@@ -172,11 +172,10 @@ class NAFNetwork(TensorDictModuleBase):
             state-action values, (..., 1).
         """
         normalised = self.normalise(observation)
-        advantage = self._advantage(
-            self._factor(normalised), self._mu(observation, normalised), action
-        )
+        mu = self._mu(observation, normalised)
+        penalty = self._penalty(self._factor(normalised), mu, action)
         value: Tensor = self.value(normalised)
-        return value + advantage
+        return value - penalty
 
     def max_value(self, observation: Tensor, params: TensorDictBase | None = None) -> Tensor:
         """max_a Q(s, a) over the box, as `forward` writes it, evaluating what it takes alone.
@@ -198,11 +197,12 @@ class NAFNetwork(TensorDictModuleBase):
         normalised = self.normalise(observation)
         mu = self._mu(observation, normalised)
         value = self.value(normalised)
-        return value + self._clipping(normalised, mu, None)
+        return value - self._clipping(normalised, mu, None)
 
     def cholesky(self, observation: Tensor) -> Tensor:
         """L of M = -L L^T, in units of the box's half-range, (..., action_dim, action_dim)."""
-        return self._factor(self.normalise(observation))
+        factor = self._factor(self.normalise(observation))
+        return factor.unsqueeze(-1) if self.action_dim == 1 else factor
 
     def policy(
         self, observation_key: NestedKey | None = None, action_key: NestedKey | None = None
@@ -236,11 +236,12 @@ class NAFNetwork(TensorDictModuleBase):
         return mu
 
     def _factor(self, normalised: Tensor) -> Tensor:
+        """L, (..., action_dim, action_dim); of one action its only entry, (..., 1)."""
         actions = self.action_dim
         logits = self.factor_logits(normalised)
         bound = LOG_DIAGONAL_BOUND
         if actions == 1:  # the general way takes several kernels more
-            return torch.exp(bound * torch.tanh(logits / bound)).unsqueeze(-1)
+            return torch.exp(bound * torch.tanh(logits / bound))
         diagonal = torch.exp(bound * torch.tanh(logits[..., :actions] / bound))
         factor = torch.diag_embed(diagonal)
         rows, columns = torch.tril_indices(actions, actions, -1, device=logits.device)
@@ -249,16 +250,22 @@ class NAFNetwork(TensorDictModuleBase):
         factor[..., rows, columns] = ratios * diagonal[..., rows]
         return factor
 
-    def _advantage(self, factor: Tensor, mu: Tensor, action: Tensor) -> Tensor:
-        """-|L^T (mu - a) / half_range|^2, (..., 1): never positive, whatever the rounding."""
+    def _penalty(self, factor: Tensor, mu: Tensor, action: Tensor) -> Tensor:
+        """V - Q = |L^T (mu - a) / half_range|^2, (..., 1): never negative, whatever the rounding.
+
+        Args:
+            factor: what `_factor` returns.
+            mu: (..., action_dim).
+            action: (..., action_dim).
+        """
         if action.shape != mu.shape:
             raise ValueError(
                 f"expected actions of shape {tuple(mu.shape)}, got {tuple(action.shape)}"
             )
         distance = (mu - action) / self.box.half_range
         if self.action_dim == 1:
-            return -(factor.squeeze(-1) * distance).square()
-        return -(factor.mT @ distance.unsqueeze(-1)).square().sum(-2)
+            return (factor * distance).square()
+        return (factor.mT @ distance.unsqueeze(-1)).square().sum(-2)
 
     def _clipping(self, normalised: Tensor, mu: Tensor, factor: Tensor | None) -> Tensor | float:
         """What Q at the clipped mu loses against V."""
@@ -266,7 +273,7 @@ class NAFNetwork(TensorDictModuleBase):
             return 0.0
         if factor is None:
             factor = self._factor(normalised)
-        return self._advantage(factor, mu, self.box(mu))
+        return self._penalty(factor, mu, self.box(mu))
 
 
 class Normaliser(nn.Module):
@@ -308,11 +315,10 @@ class Normaliser(nn.Module):
 
     def forward(self, observation: Tensor) -> Tensor:
         """The normalised observation, (..., features)."""
-        if observation.shape[-1] != self.offset.numel():
-            raise ValueError(
-                f"expected {self.offset.numel()} features, got {observation.shape[-1]}"
-            )
-        return (observation - self.offset) / self.scale
+        offset = self.offset
+        if observation.shape[-1] != offset.shape[0]:
+            raise ValueError(f"expected {offset.shape[0]} features, got {observation.shape[-1]}")
+        return (observation - offset) / self.scale
 
 
 class _Greedy(nn.Module):

@@ -8,6 +8,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.registry import CPUDispatcher
 
+from marl_lanes.starting import uncollected
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -63,7 +65,8 @@ def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
     if not isinstance(kernel, CPUDispatcher):
         return kernel  # numba's compilation is switched off
     signature = tuple(cast("Any", numba).typeof(argument) for argument in arguments)
-    kernel.compile(signature)
+    with uncollected():
+        kernel.compile(signature)
     return cast("Function", kernel.get_overload(signature))
 
 

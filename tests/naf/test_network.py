@@ -4,6 +4,7 @@ import doctest
 import itertools
 import math
 from collections.abc import Iterable
+from copy import deepcopy
 
 import pytest
 import torch
@@ -15,6 +16,7 @@ from torchrl.envs import EnvBase
 
 import marl_lanes.naf.network
 from marl_lanes.naf import NAFNetwork
+from marl_lanes.naf.layers import ActionBox
 from marl_lanes.naf.mu import DampedMu, PaperMu
 
 PAPER = ["speed", "acceleration", "lateral_deviation", "yaw", "yaw_rate", "curvature"]
@@ -78,15 +80,16 @@ def test_m_is_negative_definite_at_extreme_logits(actions):
     network.factor_logits = nn.Identity()
     logits.requires_grad_()
     factor = network._factor(logits)
-    matrix = -(factor @ factor.mT)
+    square = factor.unsqueeze(-1) if actions == 1 else factor
+    matrix = -(square @ square.mT)
     assert matrix.dtype is torch.float32
     assert torch.linalg.eigvalsh(matrix.detach()).max() < 0
-    advantage = network._advantage(
+    penalty = network._penalty(
         factor, torch.full((len(logits), actions), 0.5), torch.full((len(logits), actions), -0.5)
     )
-    assert advantage.isfinite().all()
-    assert (advantage <= 0).all()
-    advantage.sum().backward()
+    assert penalty.isfinite().all()
+    assert (penalty >= 0).all()
+    penalty.sum().backward()
     assert logits.grad.isfinite().all()
 
 
@@ -437,3 +440,19 @@ def test_weights_of_single_networks_as_stacks_of_one_are_read(mu):
         assert torch.equal(other.state_dict()[key], value), key
     with pytest.raises(RuntimeError, match="size mismatch"):
         other.load_state_dict(state | {"value.bias_0": torch.zeros(9)})
+
+
+def test_the_half_range_follows_the_bounds():
+    box = ActionBox([-1.0, 0.0], [1.0, 4.0])
+    assert box.half_range.tolist() == [1.0, 2.0]
+    assert box.half_range is box.half_range
+    box.load_state_dict({"low": torch.tensor([-3.0, 0.0]), "high": torch.tensor([3.0, 4.0])})
+    assert box.half_range.tolist() == [3.0, 2.0]
+    box.high += 2.0
+    assert box.half_range.tolist() == [4.0, 3.0]
+    copied = deepcopy(box).double()
+    assert copied.half_range.dtype is torch.float64
+    assert copied.half_range.tolist() == [4.0, 3.0]
+    with torch.inference_mode():
+        assert ActionBox([0.0], [1.0]).half_range.tolist() == [0.5]
+    assert list(box.state_dict()) == ["low", "high"]
