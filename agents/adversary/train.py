@@ -62,13 +62,13 @@ from marl_lanes.training.transitions import LivePolicy
 MODEL = f"checkpoints/{FINAL_MODEL}"
 """The trained policy in the folder of a phase."""
 OBJECTIVES = ("adversarial", "cooperative")
-CRITERION = "mean_episode_reward"
+CRITERION = "completion_rate"
 """The metric by which the hardened changer is chosen."""
 BEFORE = "before"
 """The changer before a phase, beside the phase's saved models."""
 EVALUATED = (
     CRITERION,
-    "completion_rate",
+    "mean_episode_reward",
     "abort_rate",
     "missed_rate",
     "collision_rate",
@@ -257,17 +257,17 @@ class Run:
     ) -> Path:
         """The best of the phase's saved models and the changer before it.
 
-        That is the one of the largest mean episode reward among the followers of the phase, in
-        the evaluation's traffic.
+        That is the one that completes most often among the followers of the phase, in the
+        evaluation's traffic; of equals the earliest.
         """
         scenario = load_scenario(self.scenario, self._mix(pool))
         policy = greedy_policy(load_checkpoint(changer, self.scenario).network)
         before = _evaluate(scenario, policy, pool, self.config.hardening.evaluation)
-        rewards = {BEFORE: before[CRITERION]}
+        values = {BEFORE: before[CRITERION]}
         with (folder / EVALUATIONS_FILE).open(newline="", encoding="utf-8") as file:
-            rewards |= {row["checkpoint"]: float(row[CRITERION]) for row in csv.DictReader(file)}
-        chosen = max(rewards, key=rewards.__getitem__)
-        write_json(folder / "choice.json", {CRITERION: rewards, "chosen": chosen})
+            values |= {row["checkpoint"]: float(row[CRITERION]) for row in csv.DictReader(file)}
+        chosen = max(values, key=values.__getitem__)
+        write_json(folder / "choice.json", {CRITERION: values, "chosen": chosen})
         return changer if chosen == BEFORE else folder / "checkpoints" / chosen
 
     def _mix(self, pool: Mapping[str, FollowerPolicy]) -> dict[str, Any]:

@@ -236,12 +236,12 @@ def test_the_best_changer_of_a_phase_is_chosen(program, turns, tmp_path, monkeyp
     phase = tmp_path / "changer"
     shutil.copytree(run / "round_1" / "changer", phase)
     choice = json.loads((phase / "choice.json").read_text(encoding="utf-8"))
-    rewards = choice["mean_episode_reward"]
-    assert set(rewards) == {"before", *names(phase / "checkpoints")}
-    assert rewards[choice["chosen"]] == max(rewards.values())
+    values = choice["completion_rate"]
+    assert set(values) == {"before", *names(phase / "checkpoints")}
+    assert values[choice["chosen"]] == max(values.values())
     saved = {row["checkpoint"]: row for row in rows(phase / "evaluations.csv")}
     for name in names(phase / "checkpoints"):
-        assert float(saved[name]["mean_episode_reward"]) == rewards[name]
+        assert float(saved[name]["completion_rate"]) == values[name]
 
     unused = program.Run(given(program, "rounds=2", f"output={tmp_path / 'run'}"))
     pool = {"pool_1": load_follower(run / "pool" / "pool_1.pt", PAPER)}
@@ -249,8 +249,8 @@ def test_the_best_changer_of_a_phase_is_chosen(program, turns, tmp_path, monkeyp
     for best in ("final.pt", min(names(phase / "checkpoints")), None):
         with (phase / "evaluations.csv").open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
-            table.writerow(["checkpoint", "mean_episode_reward"])
-            table.writerows((name, 1.0 if name == best else -1e9) for name in saved)
+            table.writerow(["checkpoint", "completion_rate"])
+            table.writerows((name, 2.0 if name == best else -1.0) for name in saved)
         expected = before if best is None else phase / "checkpoints" / best
         assert unused._choose_changer(phase, before, pool) == expected
 
