@@ -62,9 +62,22 @@ def make_simulator(num_envs: int, num_threads: int, overrides: Mapping[str, Any]
     return _steps(simulator.step, lambda: int(simulator.roads["num_vehicles"].sum()), num_envs)
 
 
-def make_env(num_envs: int, num_threads: int, overrides: Mapping[str, Any]) -> Contestant:
+def make_env(
+    num_envs: int,
+    num_threads: int,
+    overrides: Mapping[str, Any],
+    *,
+    scenario: str = "paper",
+    learned_followers: bool = False,
+) -> Contestant:
     """LaneChangeEnv.step with zero actions."""
-    env = LaneChangeEnv("paper", num_envs, num_threads=num_threads, overrides=overrides)
+    env = LaneChangeEnv(
+        scenario,
+        num_envs,
+        num_threads=num_threads,
+        overrides=overrides,
+        learned_followers=learned_followers,
+    )
     data = env.reset()
     data.update(env.full_action_spec.zero())
     roads = env.simulator.roads
@@ -147,6 +160,7 @@ def main() -> None:
         rates = run_row(label, contestants, options.rounds, figures)
         costs[f"V{num_vehicles}"] = 1e9 / median(rates["simulator"]).vehicle_steps
     print_targets(kept, costs, options.rounds, figures)
+    compare_groups(options.rounds, figures)
     write_json(options.json, figures)
 
 
@@ -180,6 +194,19 @@ def print_targets(
         factor = median_ratio(rates["simulator"], rates["libsumo"], "vehicle_steps")
         print_target("simulator, all threads, over libsumo", factor, 100.0)
         figures["ratio to libsumo"] = factor
+
+
+def compare_groups(rounds: int, figures: dict[str, object]) -> None:
+    """The environment with followers as a second group of agents, beside changers alone."""
+    groups = {"changers": False, "changers and followers": True}
+    contestants = {
+        label: make_env(1024, 1, ENDLESS, scenario="dense", learned_followers=has_followers)
+        for label, has_followers in groups.items()
+    }
+    rates = take_turns(contestants, rounds, SECONDS)
+    ratio = median_ratio(rates["changers"], rates["changers and followers"], "steps")
+    print(f"time of a step with both groups over changers alone, dense, 1024 roads: {ratio:.2f}")
+    figures["both groups over changers alone"] = ratio
 
 
 if __name__ == "__main__":
