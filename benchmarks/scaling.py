@@ -174,8 +174,12 @@ def measure_replay(learner: Learner, capacity: int, folder: Path) -> dict[str, F
     size = learner.memory["bytes_per_stored_transition"]
     result = {}
     kept = learner.replay
+    settings = learner.config.replay
+
+    def draw() -> None:
+        learner.replay.sample(settings.batch_size)
+
     for storage in ("memory", "memmap"):
-        settings = learner.config.replay
         settings.storage, settings.capacity = storage, capacity
         learner.replay = make_replay(settings, folder / storage, size)
 
@@ -184,7 +188,7 @@ def measure_replay(learner: Learner, capacity: int, folder: Path) -> dict[str, F
                 learner.replay.extend(rows.clone())
 
         filling = seconds(fill)
-        drawing = [seconds(learner.replay.sample) for _ in range(NUM_UPDATES)]
+        drawing = [seconds(draw) for _ in range(NUM_UPDATES)]
         result[storage] = {
             "capacity": float(capacity),
             "store_microseconds_per_transition": 1e6 * filling / capacity,
