@@ -8,7 +8,7 @@ is flat is measured in turn as well, over the numbers of roads and over those of
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
@@ -172,11 +172,11 @@ def print_targets(
         print_target(f"share of the limit, {num_envs} roads", share, 0.5)
     times = median_ratio(kept[1024]["simulator"], kept[1024]["env"], "steps")
     print_target("time of LaneChangeEnv.step over simulator's", times, 1.5, is_least=False)
-    for axis, contestants in (
-        ("64 to 8192 roads", {e: make_simulator(e, 1, ENDLESS) for e in ENVS if e >= 64}),
-        ("10 to 200 vehicles", {v: make_simulator(64, 1, density_overrides(v)) for v in DENSITIES}),
+    for axis, sizes in (
+        ("64 to 8192 roads", [(e, ENDLESS) for e in ENVS if e >= 64]),
+        ("10 to 200 vehicles", [(64, density_overrides(v)) for v in DENSITIES]),
     ):
-        spread = find_spread({str(key): one for key, one in contestants.items()}, rounds)
+        spread = find_spread([make_simulator(e, 1, overrides) for e, overrides in sizes], rounds)
         print_target(f"cost, highest over lowest, {axis}", spread, 1.25, is_least=False)
         figures[f"spread, {axis}"] = spread
     if is_installed("libsumo"):
@@ -190,11 +190,10 @@ def print_targets(
         figures["ratio to libsumo"] = factor
 
 
-def find_spread(contestants: Mapping[str, Contestant], rounds: int) -> float:
+def find_spread(contestants: Sequence[Contestant], rounds: int) -> float:
     """The dearest vehicle-step over the cheapest, each against the first contestant's, in turn."""
-    rates = take_turns(contestants, rounds, SECONDS)
-    first = next(iter(rates.values()))
-    costs = [median_ratio(first, values, "vehicle_steps") for values in rates.values()]
+    rates = take_turns({str(place): one for place, one in enumerate(contestants)}, rounds, SECONDS)
+    costs = [median_ratio(rates["0"], values, "vehicle_steps") for values in rates.values()]
     return max(costs) / min(costs)
 
 

@@ -8,6 +8,7 @@ from typing import Any, TypeVar, cast
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue
 
 from marl_lanes.training.files import write_atomically
 
@@ -190,7 +191,7 @@ def read_config(given: DictConfig, kind: type[Config]) -> Config:
     """The typed configuration; that of the run to resume, where one is named.
 
     Raises:
-        ConfigError: there is no run to resume.
+        ConfigError: there is no run to resume, or a field has no value: a run of another version.
     """
     resume = given.resume
     if resume is not None:
@@ -200,7 +201,11 @@ def read_config(given: DictConfig, kind: type[Config]) -> Config:
         stored = OmegaConf.merge(OmegaConf.structured(kind), OmegaConf.load(path))
         stored.output, stored.resume = resume, resume
         given = cast("DictConfig", stored)
-    return cast("Config", OmegaConf.to_object(given))
+    try:
+        return cast("Config", OmegaConf.to_object(given))
+    except MissingMandatoryValue as error:
+        place = "the command line and its YAML files" if resume is None else f"resume = {resume!r}"
+        raise ConfigError(f"{error.full_key}: must have a value; {place} gives none") from None
 
 
 def write_config(path: Path, config: ProgramConfig) -> None:

@@ -182,6 +182,16 @@ def test_a_resumed_run_has_its_own_config(tmp_path):
     assert read_config(resolve("seed=3"), TrainingConfig).seed == 3
 
 
+def test_a_field_without_a_value_is_named(tmp_path):
+    path = tmp_path / "run" / "config.yaml"
+    write_config(path, typed())
+    path.write_text(path.read_text("utf-8").replace("  final_rate: 1.0\n", ""), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"^optimizer.final_rate: must have .* resume = .*run'"):
+        read_config(resolve(f"resume={tmp_path / 'run'}"), TrainingConfig)
+    with pytest.raises(ConfigError, match=r"^optimizer.final_rate: .* the command line and its"):
+        read_config(resolve("optimizer.final_rate='???'"), TrainingConfig)
+
+
 def test_every_number_has_a_range():
     given = resolve("recipe=fast")
     values = {name: OmegaConf.select(given, name) for name in fields()}
