@@ -8,8 +8,6 @@ With rounds=0 one follower learns against the changer. With rounds=K followers a
 take turns, K times; the changer learns against all followers so far.
 """
 
-import csv
-import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -40,6 +38,7 @@ from marl_lanes.training.config import (
     EvaluationConfig,
     LearnerConfig,
     ProgramConfig,
+    check_criterion,
     check_learner,
     check_program,
     check_widths,
@@ -48,10 +47,9 @@ from marl_lanes.training.config import (
     require,
     write_config,
 )
-from marl_lanes.training.files import write_atomically, write_json
+from marl_lanes.training.files import copy_file, write_json
 from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.run_folder import (
-    EVALUATIONS_FILE,
     FINAL_MODEL,
     STATE_FILE,
     TIMES_FILE,
@@ -62,12 +60,8 @@ from marl_lanes.training.transitions import LivePolicy
 MODEL = f"checkpoints/{FINAL_MODEL}"
 """The trained policy in the folder of a phase."""
 OBJECTIVES = ("adversarial", "cooperative")
-CRITERION = "completion_rate"
-"""The metric by which the hardened changer is chosen."""
-BEFORE = "before"
-"""The changer before a phase, beside the phase's saved models."""
 EVALUATED = (
-    CRITERION,
+    "completion_rate",
     "mean_episode_reward",
     "abort_rate",
     "missed_rate",
@@ -135,8 +129,9 @@ def check(config: AdversaryConfig) -> None:
     total = sum(config.scripted.values())
     require(total < 1.0, "scripted", config.scripted, "below 1 in all")
     check_widths("follower.hidden_sizes", config.follower.hidden_sizes)
-    check_learner(config.follower, "follower.")
-    check_learner(config.hardening, "hardening.")
+    for name, learner in (("follower.", config.follower), ("hardening.", config.hardening)):
+        check_learner(learner, name)
+        check_criterion(learner, EVALUATED, name)
 
 
 class Run:
@@ -183,12 +178,12 @@ class Run:
             if not self._train_follower(folder / "follower", changer, phase=2 * turn):
                 return None
             follower = folder / "follower" / MODEL
-            _copy(follower, self.output / "pool" / f"{name}.pt")
+            copy_file(follower, self.output / "pool" / f"{name}.pt")
             pool[name] = load_follower(follower, self.scenario)
             if not self._train_changer(folder / "changer", changer, pool, phase=2 * turn + 1):
                 return None
-            changer = self._choose_changer(folder / "changer", changer, pool)
-        _copy(changer, self.output / "changer.pt")
+            changer = folder / "changer" / MODEL
+        copy_file(changer, self.output / "changer.pt")
         result = self._compare(
             {"unhardened": self.changer, "hardened": changer},
             _alone([*SCRIPTED, *pool]),
@@ -232,7 +227,9 @@ class Run:
     ) -> bool:
         """Train the changer on among the frozen followers of the pool and the scripted ones."""
         config = self.config.hardening
-        mix = self._mix(pool)
+        scripted = self.config.scripted
+        share = (1.0 - sum(scripted.values())) / len(pool)
+        mix = {"followers": {"mix": dict.fromkeys(pool, share) | scripted}}
         scenario = load_scenario(self.scenario, mix)
 
         def make() -> Learner:
@@ -251,30 +248,6 @@ class Run:
             return _evaluate(scenario, greedy_policy(network), pool, config.evaluation)
 
         return self._train(folder, make, evaluate_model)
-
-    def _choose_changer(
-        self, folder: Path, changer: Path, pool: Mapping[str, FollowerPolicy]
-    ) -> Path:
-        """The best of the phase's saved models and the changer before it.
-
-        That is the one that completes most often among the followers of the phase, in the
-        evaluation's traffic; of equals the earliest.
-        """
-        scenario = load_scenario(self.scenario, self._mix(pool))
-        policy = greedy_policy(load_checkpoint(changer, self.scenario).network)
-        before = _evaluate(scenario, policy, pool, self.config.hardening.evaluation)
-        values = {BEFORE: before[CRITERION]}
-        with (folder / EVALUATIONS_FILE).open(newline="", encoding="utf-8") as file:
-            values |= {row["checkpoint"]: float(row[CRITERION]) for row in csv.DictReader(file)}
-        chosen = max(values, key=values.__getitem__)
-        write_json(folder / "choice.json", {CRITERION: values, "chosen": chosen})
-        return changer if chosen == BEFORE else folder / "checkpoints" / chosen
-
-    def _mix(self, pool: Mapping[str, FollowerPolicy]) -> dict[str, Any]:
-        """The followers while the changer learns: the pool's in equal shares, and the scripted."""
-        scripted = self.config.scripted
-        share = (1.0 - sum(scripted.values())) / len(pool)
-        return {"followers": {"mix": dict.fromkeys(pool, share) | scripted}}
 
     def _train(
         self, folder: Path, make: Callable[[], Learner], evaluate_model: EvaluateModel
@@ -337,7 +310,7 @@ def _evaluate(
         scenario,
         policy,
         settings.num_maneuvers,
-        seed=settings.seed,
+        seed=settings.seed + 1,
         follower_policies=policies,
     )
     return evaluate(maneuvers, scenario, with_optimum=False)
@@ -346,10 +319,6 @@ def _evaluate(
 def _alone(dispositions: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Overrides of the followers by label: each disposition, and no other."""
     return {name: {"mix": {name: 1.0}} for name in dispositions}
-
-
-def _copy(source: Path, target: Path) -> None:
-    write_atomically(target, lambda temporary: shutil.copyfile(source, temporary))
 
 
 if __name__ == "__main__":

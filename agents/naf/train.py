@@ -1,12 +1,14 @@
 """Train the shared NAF policy of all lane changers, evaluate it, write its report.
 
-python agents/naf/train.py [recipe=fast|interactive|paper] [scenario=NAME] [network.mu=NAME]
+python agents/naf/train.py [scenario=NAME] [recipe=fast|interactive|paper] [network.mu=NAME]
     [seed=N] [output=DIR] [initial_checkpoint=FILE] [resume=RUN]
     [collector=multi|ray num_workers=N [ray.address=HOST:PORT]] [any field of the config]
+
+A scenario with two actions gets the recipe interactive, others the recipe fast.
 """
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +28,14 @@ from marl_lanes.training.config import (
     ConfigError,
     TrainingConfig,
     check,
+    check_criterion,
     read_config,
     register,
     write_config,
 )
 from marl_lanes.training.files import write_json
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, check_empty
+from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, RunFolder, check_empty
 from marl_lanes.training.timing import format_split
 from marl_lanes.training.workers import choose_collector
 
@@ -64,7 +67,7 @@ def run(learner: Learner, config: TrainingConfig, scenario: Scenario) -> None:
     def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
         settings = config.evaluation
         policy = greedy_policy(network)
-        maneuvers = run_maneuvers(scenario, policy, settings.num_maneuvers, seed=settings.seed)
+        maneuvers = run_maneuvers(scenario, policy, settings.num_maneuvers, seed=settings.seed + 1)
         return evaluate(maneuvers, scenario, with_optimum=False)
 
     if not learner.train(evaluate_model):
@@ -88,6 +91,7 @@ def read(given: DictConfig) -> TrainingConfig:
 def start(config: TrainingConfig) -> tuple[Learner, Scenario]:
     """A new run, or the one to resume; what is wrong with the config leaves nothing behind."""
     check(config)
+    check_criterion(config, EVALUATED)
     torch.set_num_threads(config.num_threads)
     scenario = load_scenario(config.scenario)
     check_episodes(scenario)
@@ -143,10 +147,11 @@ def report(learner: Learner, config: TrainingConfig, scenario: Scenario) -> dict
     """Evaluate the final policy, write evaluation.json and the figures."""
     run = learner.run
     number = config.evaluation.final_num_maneuvers
+    network = load_checkpoint(run.checkpoints / FINAL_MODEL, scenario).network
     with tqdm(total=2 * number, unit="maneuver", desc="evaluating") as bar:
         maneuvers = run_maneuvers(
             scenario,
-            greedy_policy(learner.network),
+            greedy_policy(network),
             number,
             seed=config.evaluation.seed,
             progress=lambda count: bar.update(min(count, number) - bar.n),
@@ -181,5 +186,22 @@ def draw_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
     draw_maneuver(run.figures / "first_and_last.png", first, last, labels, scenario)
 
 
+def choose_recipe(arguments: Sequence[str]) -> list[str]:
+    """``recipe=interactive`` for a scenario with two actions, unless a recipe is named.
+
+    Args:
+        arguments: of the command line. What is wrong with them is left to ``main``.
+    """
+    named = dict(one.split("=", 1) for one in arguments if "=" in one)
+    if "recipe" in named or "scenario" not in named:
+        return []
+    try:
+        scenario = load_scenario(named["scenario"].strip("'\""))
+    except (ValueError, OSError):
+        return []
+    return [] if scenario.action.longitudinal is None else ["recipe=interactive"]
+
+
 if __name__ == "__main__":
+    sys.argv += choose_recipe(sys.argv[1:])
     main()

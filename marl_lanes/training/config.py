@@ -107,9 +107,11 @@ class EvaluationConfig:
     num_maneuvers: int = MISSING
     """Maneuvers for each saved model."""
     final_num_maneuvers: int = MISSING
-    """Maneuvers for the last one, whose metrics are evaluation.json."""
+    """Maneuvers for the final one, whose metrics are evaluation.json."""
     seed: int = MISSING
-    """Of the evaluation's traffic."""
+    """Of the final evaluation's traffic; that of the saved models' has the next one."""
+    criterion: str | None = MISSING
+    """The metric by which the best saved model is the final one; null: the last model is."""
 
 
 @dataclass
@@ -253,6 +255,18 @@ def check_program(config: ProgramConfig) -> None:
 def check_widths(name: str, sizes: Sequence[int]) -> None:
     """What ``check`` says of the widths of hidden layers."""
     require(len(sizes) > 0 and min(sizes) >= 1, name, sizes, "widths of at least 1")
+
+
+def check_criterion(config: LearnerConfig, metrics: Sequence[str], prefix: str = "") -> None:
+    """Refuse a criterion that is not among the metrics of the saved models.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    criterion = config.evaluation.criterion
+    allowed = f"null, {', '.join(metrics)}"
+    is_known = criterion is None or criterion in metrics
+    require(is_known, prefix + "evaluation.criterion", criterion, allowed)
 
 
 def check_learner(config: LearnerConfig, prefix: str = "") -> None:

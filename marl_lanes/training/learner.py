@@ -59,7 +59,7 @@ class Learner:
         network: of the group; changed in place. Random numbers are torch's own: seed them before.
         group: whose network it is.
         others: policies of other groups, modules that write their actions.
-        evaluated: the metrics in the table of the saved models.
+        evaluated: the metrics in the table of the saved models, the criterion among them.
         make_collector: in this process, or in others. What it collects in is part of the training
             state.
     """
@@ -312,6 +312,9 @@ class Learner:
     def train(self, evaluate_model: EvaluateModel) -> bool:
         """Collect and learn until all transitions are made; write the final model.
 
+        With a criterion that is the best of the saved models, the first of which is saved before
+        any transition and the last one at the end. The network itself is the last one.
+
         Ctrl-C (or SIGTERM) ends it after the batch at hand. Either way the training state is
         written.
 
@@ -326,29 +329,40 @@ class Learner:
         """
         total = self.config.collector.total_transitions
         interval = self.config.evaluation.save_interval
+        criterion = self.config.evaluation.criterion
         with (
             _interruptions() as interrupted,
             tqdm(
                 total=total, initial=self.transitions, unit="tr", unit_scale=True, desc="training"
             ) as bar,
         ):
+            if criterion is not None and not self.counters["saved"]:
+                self._save_step(evaluate_model)
             while self.transitions < total and not interrupted:
                 before = self.transitions
                 with self.timed("training"):
                     self.anneal()
                     self.learn(self.collect())
                     bar.update(self.transitions - before)
-                if self.transitions // interval > before // interval:
-                    with self.timed("evaluating"):
-                        self.save_model(f"step_{self.transitions:09d}.pt", evaluate_model)
-                        self.save()
+                is_last = self.transitions >= total and criterion is not None
+                if self.transitions // interval > before // interval or is_last:
+                    self._save_step(evaluate_model)
         self.save()
         if self.transitions < total:
             return False
-        with self.timed("evaluating"):
-            self.save_model(FINAL_MODEL, evaluate_model)
+        if criterion is None:
+            with self.timed("evaluating"):
+                self.save_model(FINAL_MODEL, evaluate_model)
+        else:
+            self.run.choose_model(criterion)
         write_json(self.run.times, self.seconds)
         return True
+
+    def _save_step(self, evaluate_model: EvaluateModel) -> None:
+        """Save the model as it is now, and the training state."""
+        with self.timed("evaluating"):
+            self.save_model(f"step_{self.transitions:09d}.pt", evaluate_model)
+            self.save()
 
     def close(self) -> None:
         """Release the collector, the logs, and the files of the replay buffer."""

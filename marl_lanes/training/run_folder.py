@@ -2,13 +2,14 @@
 
 import csv
 from collections.abc import Mapping, Sequence
+from math import inf
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
 from marl_lanes.training.config import CONFIG_FILE, ConfigError
-from marl_lanes.training.files import write_atomically
+from marl_lanes.training.files import copy_file, write_atomically, write_json
 
 Value = float | int | str
 
@@ -27,7 +28,10 @@ TIMES_FILE = "training.json"
 EVALUATIONS_FILE = "evaluations.csv"
 """File name of the saved models' metrics."""
 
-EVALUATED = ("mean_return", "completion_rate", "mean_num_steps")
+CHOICE_FILE = "choice.json"
+"""File name of what the saved models are worth by the criterion, and of the best."""
+
+EVALUATED = ("mean_episode_reward", "mean_return", "completion_rate", "mean_num_steps")
 """The metrics of each saved model that go into its table."""
 
 
@@ -140,6 +144,20 @@ class RunFolder:
     def figures(self) -> Path:
         """The pictures."""
         return self.path / "figures"
+
+    def choose_model(self, criterion: str) -> None:
+        """Make the best of the saved models the final one; of equals the earliest.
+
+        Args:
+            criterion: the metric that is highest for the best. A model without it is the worst.
+        """
+        with (self.path / EVALUATIONS_FILE).open(newline="", encoding="utf-8") as file:
+            saved = {row["checkpoint"]: row[criterion] for row in csv.DictReader(file)}
+        values = {name: float(value) if value else None for name, value in saved.items()}
+        known = {name: -inf if value is None else value for name, value in values.items()}
+        chosen = max(known, key=known.__getitem__)
+        copy_file(self.checkpoints / chosen, self.checkpoints / FINAL_MODEL)
+        write_json(self.path / CHOICE_FILE, {criterion: values, "chosen": chosen})
 
     def log(self, group: str, values: Mapping[str, Any], transitions: int) -> None:
         """Send numbers to TensorBoard."""

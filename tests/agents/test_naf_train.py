@@ -6,7 +6,9 @@ import importlib.util
 import json
 import signal
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
@@ -15,7 +17,8 @@ from omegaconf import OmegaConf
 
 from marl_lanes import load_scenario
 from marl_lanes.evaluation.metrics import summarise
-from marl_lanes.naf.checkpoint import read_checkpoint
+from marl_lanes.evaluation.rollout import run_maneuvers
+from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
     make_follower_network,
@@ -286,3 +289,47 @@ def test_an_initial_checkpoint_that_does_not_fit(program, tmp_path, monkeypatch,
     with pytest.raises(ValueError, match=message):
         program.start(read_config(given("initial_checkpoint=i.pt"), TrainingConfig))
     assert list(tmp_path.iterdir()) == before
+
+
+def test_a_scenario_with_two_actions_has_its_recipe(program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("two.yaml").write_text("action: {longitudinal: {}}\n", encoding="utf-8")
+    Path("one.yaml").write_text("num_slots: 8\n", encoding="utf-8")
+    for named in (
+        ["scenario=interactive"],
+        ["seed=1", "scenario='two.yaml'"],
+        ["scenario=two.yaml"],
+    ):
+        assert program.choose_recipe(named) == ["recipe=interactive"]
+    for named in (
+        [],
+        ["--help"],
+        ["seed=1"],
+        ["scenario=lateral_only"],
+        ["scenario=one.yaml"],
+        ["scenario=absent"],
+        ["recipe=fast", "scenario=interactive"],
+    ):
+        assert program.choose_recipe(named) == []
+
+
+def test_interactive_is_learned(tmp_path):
+    """Two actions; the best saved model, of which the report is, and the run goes on from it."""
+    options = ("scenario=interactive", "training_overrides.warmup=[10,20]", "output=run")
+    code, out, err = run_program(*TINY, *options, folder=tmp_path)
+    assert code == 0, err[-3000:]
+    run = tmp_path / "run"
+    assert OmegaConf.load(run / "config.yaml").recipe == "interactive"
+    choice = json.loads((run / "choice.json").read_text(encoding="utf-8"))
+    values = choice["mean_episode_reward"]
+    assert list(values) == sorted(path.name for path in (run / "checkpoints").glob("step_*.pt"))
+    assert values[choice["chosen"]] == max(values.values())
+    assert_same_weights(weights(run), weights(run, choice["chosen"]))
+    result = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
+    assert f"mean_episode_reward: {result['mean_episode_reward']:.4g}" in out
+    final = load_checkpoint(run / "checkpoints" / "final.pt", load_scenario("interactive"))
+    maneuvers = run_maneuvers(
+        load_scenario("interactive"), greedy_policy(final.network), 3, seed=1_000_000
+    )
+    rewards = [one.episode_reward for one in maneuvers]
+    assert result["mean_episode_reward"] == pytest.approx(np.mean(rewards), rel=1e-9)

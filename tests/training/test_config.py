@@ -14,6 +14,7 @@ from marl_lanes.training.config import (
     ConfigError,
     TrainingConfig,
     check,
+    check_criterion,
     read_config,
     register,
     write_config,
@@ -169,6 +170,14 @@ def test_what_is_out_of_range_is_named(name, value):
         check(config)
     assert isinstance(caught.value, ValueError)
     assert str(value) in str(caught.value)
+
+
+def test_a_criterion_is_a_metric_of_the_saved_models():
+    for criterion in ("null", "quality"):
+        check_criterion(typed(f"evaluation.criterion={criterion}"), ["quality"])
+    message = r"^part.evaluation.criterion = 'beauty': must be null, quality, other$"
+    with pytest.raises(ConfigError, match=message):
+        check_criterion(typed("evaluation.criterion=beauty"), ["quality", "other"], "part.")
 
 
 def test_a_resumed_run_has_its_own_config(tmp_path):

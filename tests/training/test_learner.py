@@ -15,6 +15,7 @@ from marl_lanes.naf.checkpoint import read_checkpoint
 from marl_lanes.training.checkpoint import make_follower_network, make_network
 from marl_lanes.training.config import ConfigError, TrainingConfig, register
 from marl_lanes.training.learner import Learner
+from marl_lanes.training.run_folder import EVALUATED
 from marl_lanes.training.transitions import LivePolicy
 
 torch.set_num_threads(1)
@@ -71,7 +72,7 @@ def followers(*options, seed=0):
         make_follower_network(env.scenario, [8]),
         group="followers",
         others=[LivePolicy(driver.policy().module, 1)],
-        evaluated=("quality", "nothing"),
+        evaluated=("completion_rate", "nothing"),
     )
 
 
@@ -84,8 +85,7 @@ class Evaluation:
     def __call__(self, network):
         self.count += 1
         quality = sum(value.sum().item() for value in network.state_dict().values())
-        names = ("mean_return", "completion_rate", "mean_num_steps", "quality")
-        return dict.fromkeys(names, quality) | {"nothing": None}
+        return dict.fromkeys(EVALUATED, quality) | {"nothing": None}
 
 
 def rows(path):
@@ -139,6 +139,48 @@ def test_a_state_from_the_beginning_goes_on_identically(tmp_path, make):
     assert tables(tmp_path / "one") == tables(tmp_path / "other")
     for key, value in one.loss.state_dict().items():
         assert torch.equal(other.loss.state_dict()[key], value), key
+
+
+@pytest.mark.parametrize("make", [changers, followers])
+def test_with_a_criterion_the_best_model_is_the_final_one(tmp_path, make):
+    """The untrained and the last one are among them; a run from its beginning does the same."""
+    learner = make("evaluation.criterion=completion_rate")
+    learner.begin(tmp_path / "run")
+    shutil.copytree(tmp_path / "run", tmp_path / "again")
+    before = {key: value.clone() for key, value in learner.network.state_dict().items()}
+    evaluation = Evaluation()
+    assert learner.train(evaluation)
+    checkpoints = tmp_path / "run" / "checkpoints"
+    saved = {row["checkpoint"]: row for row in rows(tmp_path / "run" / "evaluations.csv")}
+    names = [f"step_{count:09d}.pt" for count in (0, learner.transitions)]
+    assert [min(saved), max(saved)] == names
+    assert len(saved) == evaluation.count >= 4
+    assert {path.name for path in checkpoints.iterdir()} == {*saved, "final.pt"}
+    networks = [read_checkpoint(checkpoints / name).network.state_dict() for name in names]
+    for found, wanted in zip(networks, (before, learner.network.state_dict()), strict=True):
+        assert all(torch.equal(found[key], value) for key, value in wanted.items())
+    best = max(saved, key=lambda name: float(saved[name]["completion_rate"]))
+    final = checkpoints / "final.pt"
+    assert final.read_bytes() == (checkpoints / best).read_bytes()
+    assert read_checkpoint(final).transitions == int(saved[best]["transitions"])
+
+    again = make("evaluation.criterion=completion_rate", seed=5)
+    again.resume(tmp_path / "again")
+    assert again.train(Evaluation())
+    # A finished run that is resumed chooses once more.
+    learner.close()
+    learner = make("evaluation.criterion=completion_rate", seed=5)
+    learner.resume(tmp_path / "run")
+    final.unlink()
+    assert learner.train(evaluation)
+    for one in (learner, again):
+        one.close()
+    assert tables(tmp_path / "run") == tables(tmp_path / "again")
+    for name in ("choice.json", "checkpoints/final.pt"):
+        assert (tmp_path / "run" / name).exists()
+    choices = [(tmp_path / name / "choice.json").read_bytes() for name in ("run", "again")]
+    assert choices[0] == choices[1]
+    assert len(saved) == evaluation.count
 
 
 def test_two_runs_of_a_seed_are_the_same(tmp_path):

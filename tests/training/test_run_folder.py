@@ -1,6 +1,7 @@
 """The run folder's tables, and a training state that goes on as if nothing had happened."""
 
 import csv
+import json
 
 import pytest
 import torch
@@ -91,6 +92,32 @@ def test_a_new_run_makes_its_folder(tmp_path):
     assert run.config == path / "config.yaml"
     assert run.state == path / "resume.pt"
     assert run.figures == path / "figures"
+
+
+@pytest.mark.parametrize(
+    ("values", "chosen"),
+    [
+        ([-3.0, -1.0, -2.0], "b.pt"),
+        ([-1.0, -2.0, -1.0], "a.pt"),
+        (["", -10.0, 0.0], "c.pt"),
+        (["", "", ""], "a.pt"),
+    ],
+)
+def test_the_best_saved_model_becomes_the_final_one(tmp_path, values, chosen):
+    """Of equals the earliest; one without a value is the worst."""
+    run = RunFolder(tmp_path / "run", evaluated=("other", "quality"))
+    for transitions, (name, value) in enumerate(zip("abc", values, strict=True)):
+        (run.checkpoints / f"{name}.pt").write_text(name, encoding="utf-8")
+        run.evaluations.append((transitions, f"{name}.pt", 7.0, value))
+    run.choose_model("quality")
+    run.close()
+    assert (run.checkpoints / "final.pt").read_text(encoding="utf-8") == chosen[0]
+    choice = json.loads((run.path / "choice.json").read_text(encoding="utf-8"))
+    found = [None if value == "" else value for value in values]
+    assert choice == {
+        "quality": dict(zip(("a.pt", "b.pt", "c.pt"), found, strict=True)),
+        "chosen": chosen,
+    }
 
 
 def test_a_folder_with_a_run_is_refused(tmp_path):
