@@ -144,6 +144,7 @@ class Run:
     def __init__(self, config: AdversaryConfig) -> None:
         self.config = config
         self.output = Path(config.output)
+        self.device = torch.device(config.device)
         self.changer = Path(str(config.changer))
         objective = {"followers": {"learned": {"objective": config.objective}}}
         self.scenario = load_scenario(config.scenario, objective)
@@ -214,6 +215,8 @@ class Run:
                 group=FOLLOWERS,
                 others=[LivePolicy(driver.policy().module, driver.action_dim)],
                 evaluated=EVALUATED,
+                device=self.device,
+                acting_device=self.device,
             )
 
         def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
@@ -242,7 +245,14 @@ class Run:
                 follower_policies=pool,
             )
             network = load_checkpoint(changer, self.scenario).network
-            return Learner(config, env, network, evaluated=EVALUATED)
+            return Learner(
+                config,
+                env,
+                network,
+                evaluated=EVALUATED,
+                device=self.device,
+                acting_device=self.device,
+            )
 
         def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
             return _evaluate(scenario, greedy_policy(network), pool, config.evaluation)

@@ -37,6 +37,7 @@ from marl_lanes.training.files import write_json
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, RunFolder, check_empty
 from marl_lanes.training.timing import format_split
+from marl_lanes.training.transitions import CPU
 from marl_lanes.training.workers import choose_collector
 
 register("training_schema", TrainingConfig)
@@ -107,11 +108,14 @@ def start(config: TrainingConfig) -> tuple[Learner, Scenario]:
     folder = Path(config.output)
     if config.resume is None:
         check_empty(folder)
+    device = torch.device(config.device)
     learner = Learner(
         config,
         env,
         start_network(config, scenario),
         make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
+        device=device,
+        acting_device=device if config.collector.kind == "single" else CPU,
     )
     try:
         if config.resume is not None:

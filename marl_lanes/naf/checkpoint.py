@@ -61,7 +61,7 @@ def greedy_policy(network: NAFNetwork) -> Callable[[NDArray[np.float32]], NDArra
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         with torch.inference_mode():
-            actions = module(torch.from_numpy(observations))
-        return np.asarray(actions.numpy(), np.float64)
+            actions = module(torch.from_numpy(observations).to(network.box.low.device))
+        return np.asarray(actions.cpu().numpy(), np.float64)
 
     return act

@@ -6,6 +6,7 @@ from math import inf
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import torch
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
@@ -142,6 +143,8 @@ class ProgramConfig:
     """A run folder to continue; its own config counts, and nothing else on the command line."""
     num_threads: int = MISSING
     """Threads of torch."""
+    device: str = MISSING
+    """Where the network acts and learns: cpu, or cuda[:N]; the traffic is on the CPU."""
 
 
 @dataclass
@@ -250,6 +253,7 @@ def check_program(config: ProgramConfig) -> None:
     """What ``check`` says of the fields that every program has."""
     require(config.num_threads >= 1, "num_threads", config.num_threads, "at least 1")
     _check_seed("seed", config.seed)
+    _check_device(config.device)
 
 
 def check_widths(name: str, sizes: Sequence[int]) -> None:
@@ -332,6 +336,17 @@ def require(condition: bool, name: str, value: object, allowed: str) -> None:
     """
     if not condition:
         raise ConfigError(f"{name} = {value!r}: must be {allowed}")
+
+
+def _check_device(name: str) -> None:
+    count = torch.cuda.device_count()
+    allowed = "cpu, or cuda[:N] with N below the number of GPUs that torch can use, " + str(count)
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise ConfigError(f"device = {name!r}: must be {allowed}") from None
+    is_gpu = device.type == "cuda" and (device.index or 0) < count
+    require(device == torch.device("cpu") or is_gpu, "device", name, allowed)
 
 
 def _check_seed(name: str, seed: int) -> None:

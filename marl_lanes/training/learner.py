@@ -1,5 +1,6 @@
 """One group's learning: what it is made of, how far it is, and the loop."""
 
+import copy
 import shutil
 import signal
 import time
@@ -39,7 +40,13 @@ from marl_lanes.training.run_folder import (
     check_empty,
 )
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
-from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
+from marl_lanes.training.transitions import (
+    CPU,
+    LivePolicy,
+    finished_maneuvers,
+    live_transitions,
+    send,
+)
 
 ROWS_AT_ONCE = 32_768
 """Rows read from the replay buffer together, for as many updates as they make."""
@@ -56,12 +63,16 @@ class Learner:
     Args:
         config: how it learns.
         env: that it collects in, or the pattern of the workers' environments.
-        network: of the group; changed in place. Random numbers are torch's own: seed them before.
+        network: of the group; moved to the device, and changed in place. Random numbers are torch's
+            own: seed them before.
         group: whose network it is.
         others: policies of other groups, modules that write their actions.
         evaluated: the metrics in the table of the saved models, the criterion among them.
         make_collector: in this process, or in others. What it collects in is part of the training
             state.
+        device: where the network learns.
+        acting_device: where it drives: there, too, or on the CPU, as in workers. What it sees and
+            does is on the CPU.
     """
 
     run: RunFolder
@@ -77,10 +88,13 @@ class Learner:
         others: Sequence[TensorDictModuleBase] = (),
         evaluated: Sequence[str] = EVALUATED,
         make_collector: MakeCollector = LocalCollector,
+        device: torch.device = CPU,
+        acting_device: torch.device = CPU,
     ) -> None:
         self.config = config
         self.env = env
-        self.network = network
+        self.network = network.to(device)
+        self.device = device
         self.group = group
         self.evaluated = tuple(evaluated)
         self.loss = NAFLoss(network)
@@ -111,9 +125,14 @@ class Learner:
             sigma_end=float(config.exploration.final_sigma),
         )
         # Sigma is a share of the half range, whatever the action's unit.
-        self.noise.std = network.box.half_range.clone()
+        self.noise.std = network.box.half_range.to(CPU, copy=True)
         self.noise.std[1:] *= config.exploration.longitudinal_factor
-        policy = LivePolicy(network.policy().module, network.action_dim, group)
+        # Elsewhere it drives with a copy, which each batch begins with.
+        is_same = acting_device == device
+        self.actor = network if is_same else copy.deepcopy(network).to(acting_device)
+        policy = LivePolicy(
+            self.actor.policy().module, network.action_dim, group, device=acting_device
+        )
         self.policy = TimedPolicy(*others, policy, self.noise)
         self.collector = make_collector(env, self.policy, config.collector.steps_per_batch)
         self.counters = defaultdict[str, float](float)
@@ -150,7 +169,7 @@ class Learner:
 
     def _make_replay(self, folder: Path) -> TensorDictReplayBuffer:
         size = self.memory["bytes_per_stored_transition"]
-        return make_replay(self.config.replay, folder / REPLAY_FOLDER, size)
+        return make_replay(self.config.replay, folder / REPLAY_FOLDER, size, self.device)
 
     def begin(self, folder: Path) -> None:
         """Start in a new or empty folder.
@@ -208,6 +227,8 @@ class Learner:
             self.policy.seconds,
         )
         with self.timed("collecting"):
+            if self.actor is not self.network:
+                self.actor.load_state_dict(self.network.state_dict())
             batch = self.collector.next()
         counters["seconds_simulating"] += self.env.seconds - simulating
         counters["seconds_acting"] += self.policy.seconds - acting
@@ -232,11 +253,11 @@ class Learner:
         self.network.mu_frozen = is_stage_one
         self.loss.value_network.mu_frozen = is_stage_one
 
-    def update(self, number: int) -> list[float]:
+    def update(self, number: int) -> Tensor:
         """So many gradient steps on batches from the replay buffer, and the target's.
 
         Returns:
-            the losses.
+            the losses, (number,), on the device: the call does not wait for a GPU.
         """
         size = self.config.replay.batch_size
         at_once = max(1, ROWS_AT_ONCE // size)
@@ -244,9 +265,11 @@ class Learner:
         while (left := number - len(losses)) > 0:
             # One draw of many batches gives the rows that as many draws would give.
             count = min(left, at_once)
-            rows = self.replay.sample(count * size).reshape(count, size)
-            losses += [self._take_step(batch) for batch in rows.unbind(0)]
-        return torch.stack(losses).tolist() if losses else []
+            rows = self.replay.sample(count * size)
+            if self.config.replay.storage == "memmap":
+                rows = send(rows, self.device)
+            losses += [self._take_step(batch) for batch in rows.reshape(count, size).unbind(0)]
+        return torch.stack(losses) if losses else torch.empty(0)
 
     def _take_step(self, batch: TensorDictBase) -> Tensor:
         config = self.config
@@ -267,7 +290,8 @@ class Learner:
         with self.timed("storing"):
             transitions = live_transitions(batch, self.group)
             if len(transitions):
-                self.replay.extend(transitions)
+                on_device = self.config.replay.storage == "memory"
+                self.replay.extend(send(transitions, self.device) if on_device else transitions)
             self.counters["transitions"] += len(transitions)
         with self.timed("learning"):
             config = self.config
@@ -277,13 +301,13 @@ class Learner:
         with self.timed("logging"):
             self.log(batch, losses)
 
-    def log(self, batch: TensorDictBase, losses: list[float]) -> None:
+    def log(self, batch: TensorDictBase, losses: Tensor) -> None:
         """One row of metrics, one for every maneuver that ended."""
         returns, outcomes = finished_maneuvers(batch, self.group)
         row = {
             "updates": int(self.counters["updates"]),
             "stage": 1 if self.network.mu_frozen else 2,
-            "loss": float(np.mean(losses)) if losses else "",
+            "loss": float(np.mean(losses.tolist())) if len(losses) else "",
             "sigma": float(self.noise.sigma),
             "num_ended": len(returns),
             "mean_return": float(returns.mean()) if len(returns) else "",

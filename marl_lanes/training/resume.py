@@ -13,7 +13,7 @@ from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.collectors import TrafficCollector
 from marl_lanes.training.files import write_atomically
 
-_FORMAT = "marl-lanes training state 2"
+_FORMAT = "marl-lanes training state 3"
 
 
 def save_state(
@@ -41,6 +41,8 @@ def save_state(
         "cursor": replay.writer._cursor,
         "workers": collector.state(),
         "random": torch.get_rng_state(),
+        # A replay buffer in a GPU's memory draws there.
+        "random_cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else [],
     }
     write_atomically(path, lambda temporary: torch.save(content, temporary))
 
@@ -86,3 +88,5 @@ def restore_state(
         replay.extend(TensorDict(flat, [size]).unflatten_keys("."))
     replay.writer._cursor = content["cursor"]
     torch.set_rng_state(content["random"])
+    if content["random_cuda"]:
+        torch.cuda.set_rng_state_all(content["random_cuda"])

@@ -1,11 +1,27 @@
 """From a collected batch of slots to the transitions and maneuvers of acting agents."""
 
+from typing import TypeVar
+
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from marl_lanes.envs.batched import FOLLOWERS, GROUP
+
+CPU = torch.device("cpu")
+
+Rows = TypeVar("Rows", Tensor, TensorDict)
+
+
+def send(rows: Rows, device: torch.device) -> Rows:
+    """What lies in the CPU's memory, on the device.
+
+    To a GPU it goes by way of pinned memory, and the call does not wait for its arrival.
+    """
+    if device.type == "cpu":
+        return rows
+    return rows.pin_memory().to(device, non_blocking=True)
 
 
 def live_transitions(batch: TensorDictBase, group: str = GROUP) -> TensorDict:
@@ -55,11 +71,15 @@ class LivePolicy(TensorDictModuleBase):
         policy: observations (N, F) to actions (N, D).
         action_dim: D.
         group: the group's name.
+        device: of the policy; what it reads and writes is on the CPU.
     """
 
-    def __init__(self, policy: nn.Module, action_dim: int, group: str = GROUP) -> None:
+    def __init__(
+        self, policy: nn.Module, action_dim: int, group: str = GROUP, *, device: torch.device = CPU
+    ) -> None:
         super().__init__()
         self.policy = policy
+        self.device = device
         self.action_dim = action_dim
         self.group = group
         self.in_keys = [(group, "observation"), (group, "acting")]
@@ -71,6 +91,6 @@ class LivePolicy(TensorDictModuleBase):
         acting = tensordict[self.group, "acting"]
         action = observation.new_zeros((*acting.shape, self.action_dim))
         with torch.no_grad():
-            action[acting] = self.policy(observation[acting])
+            action[acting] = self.policy(send(observation[acting], self.device)).to(action.device)
         tensordict.set((self.group, "action"), action)
         return tensordict

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import pytest
+import torch
 from hydra import compose, initialize_config_dir
 from hydra.errors import ConfigCompositionException
 from omegaconf import OmegaConf
@@ -170,6 +171,21 @@ def test_what_is_out_of_range_is_named(name, value):
         check(config)
     assert isinstance(caught.value, ValueError)
     assert str(value) in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["cuda", "cuda:0", "mps", "meta", "nonsense", "cpu:1"])
+def test_a_device_that_is_not_there_is_refused(monkeypatch, name):
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
+    with pytest.raises(ConfigError, match=rf"^device = '{name}': must be cpu, or cuda.* use, 0$"):
+        check(typed(f"device='{name}'"))
+
+
+def test_a_gpu_is_a_device(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    for name in ("cuda", "cuda:1", "cpu"):
+        check(typed(f"device='{name}'"))
+    with pytest.raises(ConfigError, match=r"device = 'cuda:2'.* 2$"):
+        check(typed("device='cuda:2'"))
 
 
 def test_a_criterion_is_a_metric_of_the_saved_models():

@@ -1,101 +1,19 @@
 """One group's learning: its noise, its rows, and that it goes on as if it had not stopped."""
 
-import csv
 import shutil
-from pathlib import Path
 
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from learners import TWO_ACTIONS, Evaluation, changers, followers, rows, tables
 from tensordict import TensorDict
 
-from marl_lanes import LaneChangeEnv
 from marl_lanes.naf.checkpoint import read_checkpoint
-from marl_lanes.training.checkpoint import make_follower_network, make_network
-from marl_lanes.training.config import ConfigError, TrainingConfig, register
-from marl_lanes.training.learner import Learner
-from marl_lanes.training.run_folder import EVALUATED
-from marl_lanes.training.transitions import LivePolicy
+from marl_lanes.training.config import ConfigError
 
 torch.set_num_threads(1)
-FOLDER = Path(__file__).parents[2] / "agents" / "naf"
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
 )
-BUSY = {
-    "num_agents": None,
-    "horizon": None,
-    "departures": {"interval": [1.5, 3.0]},
-    "command": {"probability": 1.0},
-    "num_slots": 4,
-    "road": {"length": 400.0},
-    "warmup": [20.0, 30.0],
-}
-TWO_ACTIONS = BUSY | {
-    "action": {"longitudinal": {"max_acceleration": 1.0, "max_braking": 5.0}},
-}
-TINY = [
-    "network.hidden_sizes=[8]",
-    "collector.num_envs=8",
-    "collector.steps_per_batch=10",
-    "collector.total_transitions=300",
-    "replay.warmup_transitions=32",
-    "replay.batch_size=16",
-    "optimizer.transitions_per_update=4",
-    "optimizer.pretraining_transitions=100",
-    "exploration.annealing_transitions=300",
-    "evaluation.save_interval=120",
-]
-
-
-def tiny(*options):
-    register("training_schema", TrainingConfig)
-    with initialize_config_dir(str(FOLDER), version_base="1.3"):
-        return OmegaConf.to_object(compose("config", [*TINY, *options]))
-
-
-def changers(*options, overrides=BUSY, mu="damped", seed=0):
-    env = LaneChangeEnv("paper", 8, overrides=overrides, seed=seed)
-    torch.manual_seed(seed)
-    return Learner(tiny(*options), env, make_network(env.scenario, mu, [8]))
-
-
-def followers(*options, seed=0):
-    env = LaneChangeEnv("paper", 8, overrides=BUSY, seed=seed, learned_followers=True)
-    torch.manual_seed(77)
-    driver = make_network(env.scenario, "damped", [8])
-    torch.manual_seed(seed)
-    return Learner(
-        tiny(*options),
-        env,
-        make_follower_network(env.scenario, [8]),
-        group="followers",
-        others=[LivePolicy(driver.policy().module, 1)],
-        evaluated=("completion_rate", "nothing"),
-    )
-
-
-class Evaluation:
-    """Counts the models that it is given; what it says of them depends on their weights."""
-
-    def __init__(self):
-        self.count = 0
-
-    def __call__(self, network):
-        self.count += 1
-        quality = sum(value.sum().item() for value in network.state_dict().values())
-        return dict.fromkeys(EVALUATED, quality) | {"nothing": None}
-
-
-def rows(path):
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def tables(folder):
-    names = ("metrics.csv", "maneuvers.csv", "evaluations.csv")
-    return {name: (folder / name).read_bytes() for name in names}
 
 
 @pytest.mark.parametrize("make", [changers, followers])
@@ -195,6 +113,22 @@ def test_two_runs_of_a_seed_are_the_same(tmp_path):
     assert runs["one"] != runs["other"]
 
 
+def test_a_copy_that_drives_follows_the_network(tmp_path):
+    """As where the network learns on a GPU and workers drive on the CPU."""
+    runs = {}
+    for name, places in (("one", {}), ("copy", {"acting_device": torch.device("cpu", 0)})):
+        learner = changers(**places)
+        assert (learner.actor is learner.network) == (name == "one")
+        learner.begin(tmp_path / name)
+        assert learner.train(Evaluation())
+        learner.close()
+        runs[name] = tables(tmp_path / name)
+    assert runs["one"] == runs["copy"]
+    # That of the last batch's beginning, of which the updates have made another.
+    actor, network = learner.actor.state_dict(), learner.network.state_dict()
+    assert any(not torch.equal(actor[key], network[key]) for key in network)
+
+
 def sampled_noise(learner, group, num_actions):
     """Many actions after the noise, all zero before it."""
     action = torch.zeros(8, 4, num_actions)
@@ -265,7 +199,7 @@ def test_many_updates_at_once_are_those_one_by_one(tmp_path, monkeypatch):
         monkeypatch.setattr("marl_lanes.training.learner.ROWS_AT_ONCE", rows_at_once)
         learner = filled(tmp_path / str(rows_at_once))
         torch.manual_seed(9)
-        losses = [loss for number in numbers for loss in learner.update(number)]
+        losses = torch.cat([learner.update(number) for number in numbers]).tolist()
         results.append((losses, weights_of(learner), torch.rand(3)))
         learner.close()
         assert learner.counters["updates"] == len(losses) == 7
@@ -314,7 +248,7 @@ def test_a_compiled_loss_gives_the_same_losses(tmp_path):
     for option in ("false", "true"):
         learner = filled(tmp_path / option, f"optimizer.compile={option}")
         torch.manual_seed(9)
-        results.append(learner.update(5))
+        results.append(learner.update(5).tolist())
         learner.close()
     # Adam divides by the gradient's size: the rounding of a tiny one is a whole step.
     assert results[0] == pytest.approx(results[1], rel=1e-3)
