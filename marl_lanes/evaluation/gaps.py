@@ -14,7 +14,7 @@ from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.external import FollowerPolicy
 from marl_lanes.traffic.state import NONE, Phase
 
-NEAR_GAP = 40.0
+NEAR_GAP = 30.0
 """[m] A follower is near where the gap at the engagement is below this."""
 GAP_CONFIDENCE = 0.99
 """Coverage that the intervals of the gaps aim at."""

@@ -184,12 +184,17 @@ class MLPMu(Mu):
 
 
 class CarFollowingMu(Mu):
-    """a = p + tanh(x) (high - p) where x > 0, p + tanh(x) (p - low) elsewhere; x = network(s).
+    """Car following and a bounded correction, x = network(s), about 0 initially:
 
-    p is the observed car_following_acceleration clipped to [low, high], and x is about 0 initially:
-    the learned correction starts from car following and can reach every acceleration inside the
-    bounds. With p on a bound it has no effect, and no gradient, toward that side.
+    a = p + tanh(x) (min(p + B, high) - p) where x > 0, p + tanh(x) (p - max(p - B, low)) elsewhere.
+
+    p is the observed car_following_acceleration clipped to [low, high], B = CORRECTION. No
+    correction stops a car that has a free road: car following speeds up by more than B before. With
+    p on a bound the correction has no effect, and no gradient, toward that side.
     """
+
+    CORRECTION = 1.0
+    """B [m/s^2]."""
 
     needs = ("car_following_acceleration",)
 
@@ -205,8 +210,8 @@ class CarFollowingMu(Mu):
         prior = self.box(*self.read(observation))
         share = torch.tanh(self.correction(normalised))
         # Interpolations, and not the sums of the formula: rounding does not take them out.
-        faster = torch.lerp(prior, self.box.high, share)
-        slower = torch.lerp(prior, self.box.low, -share)
+        faster = torch.lerp(prior, self.box(prior + self.CORRECTION), share)
+        slower = torch.lerp(prior, self.box(prior - self.CORRECTION), -share)
         return torch.where(share > 0, faster, slower)
 
 
