@@ -184,13 +184,14 @@ class MLPMu(Mu):
 
 
 class CarFollowingMu(Mu):
-    """Car following and a bounded correction, x = network(s), about 0 initially:
+    """Car following and a bounded correction.
 
     a = p + tanh(x) (min(p + B, high) - p) where x > 0, p + tanh(x) (p - max(p - B, low)) elsewhere.
 
-    p is the observed car_following_acceleration clipped to [low, high], B = CORRECTION. No
-    correction stops a car that has a free road: car following speeds up by more than B before. With
-    p on a bound the correction has no effect, and no gradient, toward that side.
+    p is the observed car_following_acceleration clipped to [low, high], x a network, about 0
+    initially, B = CORRECTION. No correction stops a car that has a free road: car following speeds
+    up by more than B before. With p on a bound the correction has no effect, and no gradient,
+    toward that side.
     """
 
     CORRECTION = 1.0
