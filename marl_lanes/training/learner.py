@@ -2,7 +2,6 @@
 
 import copy
 import shutil
-import signal
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,6 +28,7 @@ from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
 from marl_lanes.training.files import write_json
+from marl_lanes.training.interruptions import note_interruptions
 from marl_lanes.training.replay import make_replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import (
@@ -355,7 +355,7 @@ class Learner:
         interval = self.config.evaluation.save_interval
         criterion = self.config.evaluation.criterion
         with (
-            _interruptions() as interrupted,
+            note_interruptions() as interrupted,
             tqdm(
                 total=total, initial=self.transitions, unit="tr", unit_scale=True, desc="training"
             ) as bar,
@@ -393,21 +393,3 @@ class Learner:
         self.collector.shutdown()
         self.run.close()
         shutil.rmtree(self.run.path / REPLAY_FOLDER, ignore_errors=True)
-
-
-@contextmanager
-def _interruptions() -> Iterator[list[int]]:
-    """Let Ctrl-C (and a polite kill) finish the iteration at hand; a second one stops at once."""
-    received: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        if received:
-            signal.default_int_handler(number, frame)
-        received.append(number)
-
-    previous = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield received
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

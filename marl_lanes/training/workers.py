@@ -41,6 +41,7 @@ from marl_lanes.training.collectors import (
     take_roads,
 )
 from marl_lanes.training.config import ConfigError, DistributedCollectorConfig
+from marl_lanes.training.interruptions import ignore_interruptions
 
 
 class WorkerEnv(LaneChangeEnv):
@@ -174,7 +175,7 @@ class ProcessCollector(Workers):
             total_frames=-1,
             num_threads=self._num_threads,
             cat_results="stack",
-            init_fn=_ignore_interruptions,
+            init_fn=ignore_interruptions,
             weight_sync_schemes={"policy": self._scheme},
             auto_register_policy_transforms=False,
         )
@@ -357,9 +358,3 @@ class _MakeEnv:
             seed=self.seed,
             learned_followers=self.learned_followers,
         )
-
-
-def _ignore_interruptions() -> None:
-    """Ctrl-C reaches all processes of a terminal; the main one ends the others when it is done."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
