@@ -112,7 +112,7 @@ class EvaluationConfig:
     seed: int = MISSING
     """Of the final evaluation's traffic; that of the saved models' has the next one."""
     criterion: str | None = MISSING
-    """The metric by which the best saved model is the final one; null: the last model is."""
+    """The metric that is highest for the saved model that becomes the final one; null: the last."""
 
 
 @dataclass
