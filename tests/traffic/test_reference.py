@@ -134,7 +134,7 @@ CASES = {
         | PAID
         | LONGITUDINAL
         | {"followers": {"mix": {"polite": 1.0, "adversarial": 0.5, "learned": 1.0, "rude": 1.0}}},
-        150,
+        220,
         has_learner=True,
         policies={
             "polite": lambda seen: 0.2 * (seen[:, 2] - 10.0).clip(-10.0, 10.0),
