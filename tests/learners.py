@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 import torch
+from collecting import BUSY
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
@@ -15,15 +16,6 @@ from marl_lanes.training.run_folder import EVALUATED
 from marl_lanes.training.transitions import LivePolicy
 
 FOLDER = Path(__file__).parents[1] / "agents" / "naf"
-BUSY = {
-    "num_agents": None,
-    "horizon": None,
-    "departures": {"interval": [1.5, 3.0]},
-    "command": {"probability": 1.0},
-    "num_slots": 4,
-    "road": {"length": 400.0},
-    "warmup": [20.0, 30.0],
-}
 TWO_ACTIONS = BUSY | {
     "action": {"longitudinal": {"max_acceleration": 1.0, "max_braking": 5.0}},
 }

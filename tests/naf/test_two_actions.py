@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from naf.helpers import make_loss
+from naf.paper_networks import OFFSETS, SCALES, call, make_observation, stir
 from tensordict import TensorDict
 from torch import nn
 
@@ -22,8 +23,6 @@ FEATURES = [
     "yaw_rate",
     "curvature",
 ]
-OFFSETS = [22.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-SCALES = [10.0, 2.0, 2.0, 0.1, 0.1, 0.01]
 LOW, HIGH = [-0.5, -3.0], [0.5, 2.0]
 HALF_RANGE = np.array([0.5, 2.5])
 LATERAL = {"paper": PaperMu, "damped": DampedMu}
@@ -39,26 +38,9 @@ def make_network(mu="paper+idm", low=LOW, high=HIGH, features=FEATURES, **kwargs
     return NAFNetwork(features, low, high, mu=mu, **options)
 
 
-def make_observation(*batch):
-    return torch.tensor(OFFSETS) + torch.tensor(SCALES) * torch.randn(*batch, len(FEATURES))
-
-
 def make_action(*batch):
     low, high = torch.tensor(LOW), torch.tensor(HIGH)
     return low + (high - low) * torch.rand(*batch, 2)
-
-
-def call(network, observation, action=None):
-    data = TensorDict({"observation": observation}, observation.shape[:-1])
-    return network(data if action is None else data.set("action", action))
-
-
-def stir(network, scale=0.5):
-    """Moves every parameter away from its initial value."""
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter += scale * torch.randn_like(parameter)
-    return network
 
 
 def observe_prior(prior):
