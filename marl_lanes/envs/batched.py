@@ -18,8 +18,9 @@ from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.traffic.external import FollowerPolicy
 from marl_lanes.traffic.observation import feature_bounds, follower_feature_bounds
 from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
+from marl_lanes.traffic.readout import Readout, read_out
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.traffic.state import Outcome
 
 GROUP = "changers"
 """The group of the lane changers."""
@@ -27,10 +28,8 @@ GROUP = "changers"
 FOLLOWERS = "followers"
 """The group of the learned followers."""
 
-_ABSENT = int(Phase.ABSENT)
-_ENGAGED = int(Phase.ENGAGED)
-_UNFINISHED = int(Outcome.UNFINISHED)
-_FIRST_TRUNCATING = int(Outcome.MISSED)
+_ENDS = ("done", "terminated", "truncated")
+_CPU = torch.device("cpu")
 
 
 def _timed(method: Callable[..., TensorDict]) -> Callable[..., TensorDict]:
@@ -178,14 +177,13 @@ class LaneChangeEnv(EnvBase):
             {name: {"reward": Unbounded((*group, 1))} for name in self.group_map}
         )
         done = Binary(1, shape=(num_envs, 1), dtype=torch.bool)
-        names = ("done", "terminated", "truncated")
         self.done_spec = Composite(
             {
                 **{
-                    name: Composite({key: flag.clone() for key in names}, shape=group)
+                    name: Composite({key: flag.clone() for key in _ENDS}, shape=group)
                     for name in self.group_map
                 },
-                **{key: done.clone() for key in names},
+                **{key: done.clone() for key in _ENDS},
             },
             shape=(num_envs,),
         )
@@ -210,28 +208,28 @@ class LaneChangeEnv(EnvBase):
             mask = tensordict["_reset"].reshape(self.simulator.num_envs).cpu().numpy()
         if mask is not None or not self._is_restored:
             self.simulator.reset(mask)
-        return self._make_tensordict(self._observe())
+        return self._make_tensordict(self._observe(self._read_out()))
 
     @_timed
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        self._is_restored = False
+        if self._is_restored:
+            self._is_restored = False
         actions = [
             tensordict[group, "action"].detach().cpu().numpy()
             for group in (GROUP, FOLLOWERS)
             if group in self.group_map
         ]
-        self.simulator.step(*actions)
-        groups = self._observe()
         simulator = self.simulator
-        outcome = groups[GROUP]["outcome"]
-        has_ended = outcome != _UNFINISHED
-        is_truncated = outcome >= _FIRST_TRUNCATING
-        tables = {GROUP: simulator.agents, FOLLOWERS: simulator.state.followers}
-        for name, group in groups.items():
-            group["reward"] = tables[name]["reward"].astype(np.float32)[..., None]
-            group["done"] = has_ended[..., None]
-            group["terminated"] = (has_ended & ~is_truncated)[..., None]
-            group["truncated"] = is_truncated[..., None]
+        simulator.step(*actions)
+        columns = self._read_out()
+        groups = self._observe(columns)
+        ends = {name: getattr(columns, name) for name in _ENDS}
+        groups[GROUP] |= {"reward": columns.reward, **ends}
+        if FOLLOWERS in groups:
+            reward = simulator.state.followers["reward"].astype(np.float32)[..., None]
+            # The groups share no memory, as users may write to one.
+            copies = {name: flags.copy() for name, flags in ends.items()}
+            groups[FOLLOWERS] |= {"reward": reward, **copies}
         done = simulator.roads["is_done"].astype(np.bool_)
         is_cut = simulator.roads["is_cut"].astype(np.bool_)
         return self._make_tensordict(
@@ -241,47 +239,58 @@ class LaneChangeEnv(EnvBase):
             truncated=is_cut[:, None],
         )
 
-    def _observe(self) -> dict[str, dict[str, NDArray[Any]]]:
+    def _step_proc_data(self, next_tensordict_out: TensorDictBase) -> TensorDictBase:
+        """What ``_step`` returned: every key of the specs is there, with its shape and dtype.
+
+        TorchRL's own looks for keys to add, which takes a tenth of a step of 1024 roads.
+        """
+        if self.run_type_checks:
+            return super()._step_proc_data(next_tensordict_out)
+        return next_tensordict_out
+
+    def _read_out(self) -> Readout:
+        return read_out(self.simulator.agents, acts_waiting=self.simulator.num_actions > 1)
+
+    def _observe(self, columns: Readout) -> dict[str, dict[str, NDArray[Any]]]:
         simulator = self.simulator
-        agents, followers = simulator.agents, simulator.state.followers
-        # Out of the table once, as its columns are far apart in memory.
-        phase = agents["phase"].copy()
-        is_live, is_engaged = phase != _ABSENT, phase >= _ENGAGED
-        groups = {
+        groups: dict[str, dict[str, NDArray[Any]]] = {
             GROUP: {
                 "observation": simulator.state.observations.copy(),
-                "mask": is_live,
-                "engaged": is_engaged,
-                "acting": (is_engaged if simulator.num_actions == 1 else is_live).copy(),
-                "episode_reward": agents["episode_reward"].astype(np.float32)[..., None],
-                "outcome": agents["outcome"].astype(np.int64),
+                "mask": columns.mask,
+                "engaged": columns.engaged,
+                "acting": columns.acting,
+                "episode_reward": columns.episode_reward,
+                "outcome": columns.outcome,
             }
         }
         if FOLLOWERS in self.group_map:
+            total = simulator.state.followers["episode_reward"].astype(np.float32)
             groups[FOLLOWERS] = {
                 "observation": simulator.state.follower_observations.copy(),
-                "mask": is_live.copy(),
+                "mask": columns.mask.copy(),
                 "acting": simulator.is_follower_acting,
-                "episode_reward": followers["episode_reward"].astype(np.float32)[..., None],
+                "episode_reward": total[..., None],
             }
         return groups
 
     def _make_tensordict(
         self, groups: Mapping[str, Mapping[str, NDArray[Any]]], **root: NDArray[np.bool_]
     ) -> TensorDict:
-        shape = self.simulator.agents.shape
-        inner: dict[str, Any] = {
-            name: TensorDict(
-                {key: torch.from_numpy(value).to(self.device) for key, value in group.items()},
-                batch_size=shape,
-                device=self.device,
+        # The shapes are known to fit: checking each takes longer than making it.
+        shape = torch.Size(self.simulator.agents.shape)
+        device = self.device
+        is_elsewhere = device is not None and device.type != "cpu"
+        near = _CPU if is_elsewhere else device
+        made: dict[str, Any] = {
+            name: TensorDict._new_unsafe(
+                {key: torch.from_numpy(value) for key, value in group.items()}, shape, near
             )
             for name, group in groups.items()
         }
-        outer: dict[str, Any] = {
-            key: torch.from_numpy(value).to(self.device) for key, value in root.items()
-        }
-        return TensorDict({**inner, **outer}, batch_size=self.batch_size, device=self.device)
+        for key, value in root.items():
+            made[key] = torch.from_numpy(value)
+        tensordict = TensorDict._new_unsafe(made, self.batch_size, near)
+        return tensordict.to(device) if is_elsewhere else tensordict
 
     def _set_seed(self, seed: int | None) -> None:
         self.simulator.seed(0 if seed is None else seed)
