@@ -61,6 +61,31 @@ def _record(road: Any, rear: Any, front: Any, agents: Any, record: Any, constant
 
 
 @internal
+def _compare(
+    road: Any,
+    rank: int,
+    reach: float,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    collisions: Any,
+    constants: Any,
+) -> None:
+    """Record the vehicles within ``reach`` behind the one at ``rank`` that overlap with it."""
+    front = vehicles[order[rank]]
+    for behind in range(rank + 1, road.num_vehicles):
+        rear = vehicles[order[behind]]
+        if front.position - rear.position >= reach:
+            break
+        if is_overlapping(rear, front, constants):
+            newest = road.num_collisions % collisions.shape[0]
+            _record(road, rear, front, agents, collisions[newest], constants)
+            road.num_collisions += 1
+            rear.fate = COLLIDES
+            front.fate = COLLIDES
+
+
+@internal
 def detect_collisions(
     road: Any, vehicles: Any, order: Any, agents: Any, collisions: Any, constants: Any
 ) -> bool:
@@ -72,18 +97,12 @@ def detect_collisions(
     num_before = road.num_collisions
     length, width = constants.vehicle_length, constants.vehicle_width
     reach = math.sqrt(length * length + width * width)
-    for rank in range(road.num_vehicles):
-        front = vehicles[order[rank]]
-        for behind in range(rank + 1, road.num_vehicles):
-            rear = vehicles[order[behind]]
-            if front.position - rear.position >= reach:
-                break
-            if is_overlapping(rear, front, constants):
-                newest = road.num_collisions % collisions.shape[0]
-                _record(road, rear, front, agents, collisions[newest], constants)
-                road.num_collisions += 1
-                rear.fate = COLLIDES
-                front.fate = COLLIDES
+    position = vehicles[order[0]].position
+    for rank in range(1, road.num_vehicles):
+        ahead = position
+        position = vehicles[order[rank]].position
+        if ahead - position < reach:
+            _compare(road, rank - 1, reach, vehicles, order, agents, collisions, constants)
     return bool(road.num_collisions > num_before)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
 from marl_lanes.traffic.neighbors import bumper_gap
+from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.state import NONE, Disposition, Phase
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
@@ -21,6 +22,7 @@ _ADVERSARIAL = int(Disposition.ADVERSARIAL)
 _ABSENT = int(Phase.ABSENT)
 _WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
+_SPARE_SLOTS = 4
 
 
 @internal
@@ -34,7 +36,7 @@ def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, 
 def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or none [m/s^2]."""
     interaction = 0.0
-    if front != NONE:
+    if front > NONE:
         interaction = _interaction(
             car,
             vehicles[front],
@@ -102,9 +104,9 @@ def car_following(agent: Any, vehicles: Any, profiles: Any, constants: Any) -> f
     profile = profiles[car.profile]
     headway, scale, s0 = profile.time_headway, profile.braking_scale, profile.minimum_gap
     interaction, ahead = 0.0, 0.0
-    if agent.leader != NONE and car.lane_low <= agent.origin_lane <= car.lane_high:
+    if agent.leader > NONE and car.lane_low <= agent.origin_lane <= car.lane_high:
         interaction = _interaction(car, vehicles[agent.leader], headway, scale, s0, constants)
-    if agent.target_leader != NONE:
+    if agent.target_leader > NONE:
         ahead = _interaction(car, vehicles[agent.target_leader], headway, scale, s0, constants)
         if car.lane_low <= agent.target_lane <= car.lane_high:
             interaction = max(interaction, ahead)
@@ -132,13 +134,13 @@ def _guard(car: Any, limit: float, lanes: Any, vehicles: Any, agents: Any, const
     interaction = 0.0
     for lane in range(car.lane_low, car.lane_high + 1):
         front = lanes[lane].nearest
-        if front != NONE:
+        if front > NONE:
             term = _interaction(car, vehicles[front], headway, scale, s0, constants)
             interaction = max(interaction, term)
-    if car.agent != NONE and agents[car.agent].phase == _ENGAGED:
+    if car.agent > NONE and agents[car.agent].phase == _ENGAGED:
         target = lanes[agents[car.agent].target_lane]
         for front in (target.nearest, target.nearest_engaged):
-            if front != NONE:
+            if front > NONE:
                 term = _interaction(car, vehicles[front], headway, scale, s0, constants)
                 interaction = max(interaction, term)
     return float(limit * (1.0 - interaction))
@@ -183,7 +185,7 @@ def _drive_among(
     """The smallest acceleration toward the leaders in several lanes, by disposition [m/s^2]."""
     headway, scale = profile.time_headway, profile.braking_scale
     limit, desired_speed = profile.max_acceleration, car.desired_speed
-    has_changer = car.changer != NONE
+    has_changer = car.changer > NONE
     is_body_in = False
     if has_changer:
         changer = vehicles[car.changer]
@@ -197,7 +199,7 @@ def _drive_among(
     interaction = 0.0
     for lane in range(car.lane_low, car.lane_high + 1):
         front = lanes[lane].nearest
-        if front != NONE:
+        if front > NONE:
             term = _interaction(
                 car, vehicles[front], headway, scale, profile.minimum_gap, constants
             )
@@ -208,7 +210,7 @@ def _drive_among(
     if phase in (_WAITING, _ENGAGED):
         target = lanes[agents[car.agent].target_lane]
         for front in (target.nearest, target.nearest_engaged):
-            if front != NONE:
+            if front > NONE:
                 term = _interaction(
                     car, vehicles[front], headway, scale, profile.minimum_gap, constants
                 )
@@ -242,18 +244,23 @@ def accelerate(
     follower_actions: Any,
     profiles: Any,
     constants: Any,
+    every_vehicle: Any,
+    after: int,
 ) -> None:
     """Set every vehicle's acceleration, not below the physical braking limit.
 
     Car following, unless an agent's second action or an external follower's action stands for it.
 
     One sweep from the front of the road to its rear, in which each lane remembers the vehicle last
-    seen in it: the leader of the next one.
+    seen in it: the leader of the next one. Meanwhile the vehicles of the road ``after`` are
+    prefetched from ``every_vehicle``, (E, V).
     """
     for lane in range(lanes.shape[0]):
         lanes[lane].nearest = NONE
         lanes[lane].nearest_engaged = NONE
+    size = vehicles.itemsize
     for rank in range(road.num_vehicles):
+        prefetch(every_vehicle, after, rank * size, size)
         slot = order[rank]
         car = vehicles[slot]
         profile = profiles[car.profile]
@@ -262,11 +269,11 @@ def accelerate(
             acceleration = _drive_alone(car, profile, front, vehicles, constants)
         else:
             acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
-        if car.agent != NONE and constants.has_longitudinal:
+        if car.agent > NONE and constants.has_longitudinal:
             agents[car.agent].car_following = max(acceleration, -constants.max_braking)
             wanted = actions[car.agent, 1]
             acceleration = _drive_by_agent(car, wanted, lanes, vehicles, agents, constants)
-        elif car.changer != NONE and constants.num_external > 0:
+        elif car.changer > NONE and constants.num_external > 0:
             index = vehicles[car.changer].agent
             if followers[index].vehicle == slot:
                 wanted = follower_actions[index, 0]
@@ -277,5 +284,7 @@ def accelerate(
             # A body is narrower than a lane, but it can lie across the road.
             for lane in range(car.lane_low + 1, car.lane_high + 1):
                 lanes[lane].nearest = slot
-        if car.agent != NONE and agents[car.agent].phase == _ENGAGED:
+        if car.agent > NONE and agents[car.agent].phase == _ENGAGED:
             lanes[agents[car.agent].target_lane].nearest_engaged = slot
+    # Departures take the first free slot: vehicles are in the first slots, with gaps.
+    prefetch(every_vehicle, after, road.num_vehicles * size, _SPARE_SLOTS * size)

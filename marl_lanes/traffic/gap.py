@@ -23,7 +23,7 @@ def is_gap_safe(rear: Any, front: Any, constants: Any) -> bool:
 def is_target_gap_safe(agent: Any, vehicles: Any, constants: Any) -> bool:
     """Whether the gaps to the target lane's leader and follower are both safe."""
     car = vehicles[agent.vehicle]
-    if agent.target_leader != NONE and not is_gap_safe(
+    if agent.target_leader > NONE and not is_gap_safe(
         car, vehicles[agent.target_leader], constants
     ):
         return False

@@ -183,7 +183,7 @@ def observe_follower(agent: Any, vehicles: Any, constants: Any, observation: Any
         return
     driver, changer = vehicles[agent.target_follower], vehicles[agent.vehicle]
     leader_gap, leader_relative_speed = constants.sensor_range, 0.0
-    if agent.target_leader != NONE:
+    if agent.target_leader > NONE:
         leader = vehicles[agent.target_leader]
         leader_gap = min(bumper_gap(driver, leader, constants), leader_gap)
         leader_relative_speed = leader.speed - driver.speed

@@ -43,7 +43,11 @@ _prefetch_line: Any = intrinsic(_hint) if _is_compiled else _nothing
 
 
 @internal
-def prefetch(array: Any, row: int, num_bytes: int) -> None:
-    """Fetch the first bytes of ``array[row]``; changes nothing but the time that it takes."""
+def prefetch(array: Any, row: int, start: int, num_bytes: int) -> None:
+    """Fetch some bytes of ``array[row]``, which need not exist, from ``start`` on.
+
+    It changes nothing but the time that it takes. The processor fetches some ten lines at a time
+    and then waits: few lines here and there cost less than many at once.
+    """
     for offset in range(0, num_bytes, _LINE):
-        _prefetch_line(array, row, offset)
+        _prefetch_line(array, row, start + offset)

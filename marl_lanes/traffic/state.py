@@ -13,7 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 NONE = -1
-"""No vehicle, no agent: the value of an index that points nowhere."""
+"""No vehicle, no agent: the value of an index that points nowhere.
+
+Where an index is used afterwards ``> NONE`` also tells the compiler that it is not negative: it
+leaves out numpy's counting from the end.
+"""
 
 
 class Phase(IntEnum):
@@ -70,7 +74,7 @@ VEHICLE: Table = (
     ("lane", "i4", "lane", "the lane that it keeps"),
     ("lane_low", "i4", "lane", "right-most lane that its body overlaps"),
     ("lane_high", "i4", "lane", "left-most lane that its body overlaps"),
-    ("profile", "i4", "1", "row of the driver profiles"),
+    ("profile", "u4", "1", "row of the driver profiles"),
     ("disposition", "i4", "1", "Disposition, or beyond EXTERNAL"),
     ("agent", "i4", "1", "agent slot, -1 where it has no live command"),
     ("changer", "i4", "1", "vehicle slot of the engaged changer it is the follower of, -1 if none"),
@@ -189,7 +193,7 @@ class State:
     """(E, L) LANE."""
     vehicles: Records
     """(E, V) VEHICLE."""
-    order: NDArray[np.int32]
+    order: NDArray[np.uint32]
     """(E, V) vehicle slots by decreasing position; the first num_vehicles count."""
     agents: Records
     """(E, A) AGENT."""
@@ -244,7 +248,7 @@ def allocate(
         roads=roads,
         lanes=np.zeros((num_envs, num_lanes), structure(LANE)),
         vehicles=vehicles,
-        order=np.zeros((num_envs, max_vehicles), np.int32),
+        order=np.zeros((num_envs, max_vehicles), np.uint32),
         agents=agents,
         followers=followers,
         collisions=collisions,

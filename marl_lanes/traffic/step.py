@@ -41,9 +41,6 @@ SKIP = 1
 RESET = 2
 """What ``run`` does with a road."""
 
-_SPARE_SLOTS = 4
-"""Departures take the first free slot, so that vehicles are in the first slots, with gaps."""
-
 _ABSENT = int(Phase.ABSENT)
 _ENGAGED = int(Phase.ENGAGED)
 _UNFINISHED = int(Outcome.UNFINISHED)
@@ -68,7 +65,7 @@ def move(
     for rank in range(road.num_vehicles):
         car = vehicles[order[rank]]
         turn_rate = road_turn_rate(car, arcs)
-        if car.agent != NONE and is_steering(agents[car.agent]):
+        if car.agent > NONE and is_steering(agents[car.agent]):
             action = min(max(actions[car.agent, 0], -bound), bound)
             car.yaw_acceleration = agents[car.agent].direction * action
         else:
@@ -174,7 +171,7 @@ def renew(
         change_phase(agent, vehicles, car.yaw_rate - road_turn_rate(car, arcs), constants)
         observe(agent, vehicles, road, arcs, features, constants, profiles, observations[index])
         follower = agent.target_follower
-        if agent.phase == _ENGAGED and follower != NONE:
+        if agent.phase == _ENGAGED and follower > NONE:
             nearest = vehicles[follower].changer
             if nearest == NONE or car.position < vehicles[nearest].position:
                 vehicles[follower].changer = agent.vehicle
@@ -264,14 +261,12 @@ def run(
     for env in range(start, stop):
         if not mask[env]:
             continue
-        if env + 1 < stop:
-            # Roads are alike: as many slots as on this one.
-            num_slots = min(roads[env].num_vehicles + _SPARE_SLOTS, vehicles.shape[1])
-            prefetch(roads, env + 1, roads.itemsize)
-            prefetch(lanes, env + 1, lanes[env].nbytes)
-            prefetch(order, env + 1, 4 * num_slots)
-            prefetch(vehicles, env + 1, num_slots * vehicles.itemsize)
-            prefetch(agents, env + 1, agents.itemsize * roads[env].num_live)
+        # Roads are alike: the next one has about as many vehicles and agents as this one.
+        after = min(env + 1, stop - 1)
+        prefetch(roads, after, 0, roads.itemsize)
+        prefetch(lanes, after, 0, lanes[env].nbytes)
+        prefetch(order, after, 0, order.itemsize * roads[env].num_vehicles)
+        prefetch(agents, after, 0, agents.itemsize * roads[env].num_live)
         road, lane, cars, ranks = roads[env], lanes[env], vehicles[env], order[env]
         live, seen, crashes = agents[env], observations[env], collisions[env]
         behind, seen_behind = followers[env], follower_observations[env]
@@ -297,6 +292,8 @@ def run(
                 follower_actions[env],
                 profiles,
                 p,
+                vehicles,
+                after,
             )
             is_leaving, is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
             road.step += 1
