@@ -1,6 +1,8 @@
-"""Garbage collection while much is loaded."""
+"""What is, and is not, done while much is loaded."""
 
 import gc
+import subprocess
+import sys
 
 import pytest
 
@@ -20,3 +22,20 @@ def test_collection_pauses_and_is_as_it_was_afterwards(is_enabled):
         assert gc.isenabled() is is_enabled
     finally:
         (gc.enable if was_enabled else gc.disable)()
+
+
+def test_the_first_step_loads_no_linear_algebra_and_leaves_it_to_who_compiles_some():
+    program = """
+import sys
+import marl_lanes
+marl_lanes.parallel_env("paper").reset(seed=0)
+print("scipy.linalg" in sys.modules, "numpy.ma" in sys.modules)
+import numba
+import numpy as np
+product = numba.njit(lambda a, b: np.dot(a, b))(np.eye(3), np.arange(9.0).reshape(3, 3))
+print("scipy.linalg" in sys.modules, product[2].tolist())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "False False\nTrue [6.0, 7.0, 8.0]\n"

@@ -1,11 +1,17 @@
 """One way of compiling for every kernel."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+from numba.core import types
 from numba.core.registry import CPUDispatcher
 
 from marl_lanes.starting import uncollected
@@ -32,7 +38,13 @@ def compiled(function: Function) -> Function:
     advance disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was
     vectorised.
     """
-    return _compile(function)
+    dispatcher = _jit(function, cache=True)
+    if dispatcher is not function:
+        # Numba stamps a cached kernel with its own file alone, yet it holds the code of the
+        # kernels that it calls: without this an edit of one file would leave the others stale.
+        cache_file = cast("Any", dispatcher)._cache._cache_file
+        cache_file._source_stamp = (cache_file._source_stamp, _SOURCES)
+    return dispatcher
 
 
 class _Internal(CPUDispatcher):
@@ -50,7 +62,7 @@ def internal(function: Function) -> Function:
     Raises:
         TypeError: when it is called from Python, unless numba's compilation is switched off.
     """
-    dispatcher = _compile(function, no_cpython_wrapper=True, forceinline=True)
+    dispatcher = _jit(function, no_cpython_wrapper=True, forceinline=True)
     if dispatcher is not function:
         cast("Any", dispatcher).__class__ = _Internal
     return dispatcher
@@ -64,19 +76,45 @@ def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
     """
     if not isinstance(kernel, CPUDispatcher):
         return kernel  # numba's compilation is switched off
-    signature = tuple(cast("Any", numba).typeof(argument) for argument in arguments)
-    with uncollected():
+    signature = tuple(_type_of(argument) for argument in arguments)
+    with uncollected(), _unused_scipy():
         kernel.compile(signature)
     return cast("Function", kernel.get_overload(signature))
 
 
-def _compile(function: Function, **options: bool) -> Function:
+def _type_of(argument: Any) -> Any:
+    """Numba's type; of an array, which must be contiguous, without the import of ``numpy.ma``."""
+    if not isinstance(argument, np.ndarray):
+        return cast("Any", numba).typeof(argument)
+    if not argument.flags.c_contiguous:
+        raise ValueError("arrays of a kernel must be contiguous")
+    return types.Array(cast("Any", numba).from_dtype(argument.dtype), argument.ndim, "C")
+
+
+@contextmanager
+def _unused_scipy() -> Iterator[None]:
+    """Numba loads what it can compile without importing SciPy, which takes a fifth of a second.
+
+    It imports it only to see whether linear algebra can be compiled; what compiles some still does.
+    """
+    if "numba.np.arraymath" in sys.modules:
+        yield
+        return
+    linear_algebra = cast("Any", import_module("numba.np.linalg"))
+    ensure_blas = linear_algebra.ensure_blas
+
+    def find_scipy() -> None:
+        if find_spec("scipy") is None:
+            raise ImportError("no scipy")
+
+    linear_algebra.ensure_blas = find_scipy
+    try:
+        yield
+    finally:
+        linear_algebra.ensure_blas = ensure_blas
+
+
+def _jit(function: Function, **options: bool) -> Function:
     compile_ = cast("Any", numba.njit)
-    options |= {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "_nrt": False}
-    dispatcher = compile_(function, error_model="numpy", **options)
-    if dispatcher is not function:
-        # Numba stamps a cached kernel with its own file alone, yet it holds the code of the
-        # kernels that it calls: without this an edit of one file would leave the others stale.
-        cache_file = dispatcher._cache._cache_file
-        cache_file._source_stamp = (cache_file._source_stamp, _SOURCES)
-    return cast("Function", dispatcher)
+    options |= {"nogil": True, "no_cfunc_wrapper": True, "_nrt": False}
+    return cast("Function", compile_(function, error_model="numpy", **options))
