@@ -21,6 +21,7 @@ from torchrl.objectives import HardUpdate
 from tqdm import tqdm
 
 from marl_lanes.envs.batched import GROUP, LaneChangeEnv
+from marl_lanes.naf.joined import join_parameters
 from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.naf.updater import ForeachSoftUpdate
@@ -97,6 +98,15 @@ class Learner:
         self.device = device
         self.group = group
         self.evaluated = tuple(evaluated)
+        # One tensor for what learns together: the optimiser's work is mostly a cost for each.
+        parts = [*network.factor_logits.parameters(), *network.value.parameters()]
+        self.joined = [join_parameters(part) for part in (parts, list(network.mu.parameters()))]
+        self.gradients = [block.grad for block in self.joined if block.grad is not None]
+        rates: dict[float, list[nn.Parameter]] = {}
+        steps = config.optimizer.learning_rate, config.optimizer.mu_learning_rate
+        for block, rate in zip(self.joined, steps, strict=True):
+            rates.setdefault(rate, []).append(block)
+        self.rates = tuple(rates)
         self.loss = NAFLoss(network)
         self.loss.make_value_estimator(gamma=config.loss.gamma)
         if config.loss.target_update == "soft":
@@ -104,19 +114,9 @@ class Learner:
         else:
             # Its interval counts the calls in between, of which there are none.
             self.target_updater = HardUpdate(self.loss, value_network_update_interval=0)
-        rates: dict[float, list[nn.Parameter]] = {}
-        for part, rate in (
-            (network.factor_logits, config.optimizer.learning_rate),
-            (network.value, config.optimizer.learning_rate),
-            (network.mu, config.optimizer.mu_learning_rate),
-        ):
-            rates.setdefault(rate, []).extend(part.parameters())
-        self.rates = tuple(rates)
-        # Each group of parameters is a call of its own.
         self.optimizer = torch.optim.Adam(
-            [{"params": values, "lr": rate} for rate, values in rates.items()], fused=True
+            [{"params": blocks, "lr": rate} for rate, blocks in rates.items()], fused=True
         )
-        self.parameters = list(network.parameters())
         self.compute_loss = torch.compile(self.loss) if config.optimizer.compile else self.loss
         self.noise = AdditiveGaussianModule(
             spec=env.full_action_spec,
@@ -250,6 +250,8 @@ class Learner:
         for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
             group["lr"] = rate * (1.0 - share * (1.0 - optimizer.final_rate))
         is_stage_one = self.transitions < stage_one
+        # Adam passes over what has no gradient; a zero one it would count as a step.
+        self.joined[1].grad = None if is_stage_one else self.gradients[1]
         self.network.mu_frozen = is_stage_one
         self.loss.value_network.mu_frozen = is_stage_one
 
@@ -273,12 +275,11 @@ class Learner:
 
     def _take_step(self, batch: TensorDictBase) -> Tensor:
         config = self.config
-        for parameter in self.parameters:  # zero_grad's own work takes longer than this
-            parameter.grad = None
+        torch._foreach_zero_(self.gradients)
         loss: Tensor = self.compute_loss(batch)["loss"]
         loss.backward()
         if config.optimizer.max_gradient_norm is not None:
-            clip_grad_norm_(self.parameters, config.optimizer.max_gradient_norm, foreach=True)
+            clip_grad_norm_(self.joined, config.optimizer.max_gradient_norm, foreach=True)
         self.optimizer.step()
         self.counters["updates"] += 1
         if int(self.counters["updates"]) % config.loss.target_interval == 0:

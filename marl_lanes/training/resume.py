@@ -13,7 +13,7 @@ from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.collectors import TrafficCollector
 from marl_lanes.training.files import write_atomically
 
-_FORMAT = "marl-lanes training state 3"
+_FORMAT = "marl-lanes training state 4"
 
 
 def save_state(

@@ -8,13 +8,20 @@ from naf.helpers import make_data, make_network
 from torchrl.objectives import SoftUpdate
 
 from marl_lanes.naf import NAFLoss
+from marl_lanes.naf.joined import join_parameters
 from marl_lanes.naf.updater import ForeachSoftUpdate
 
 
+@pytest.mark.parametrize("is_joined", [False, True])
 @pytest.mark.parametrize("rate", [{"tau": 0.02}, {"eps": 0.9}, {"tau": 1.0 / 3.0}])
-def test_it_gives_what_soft_update_gives(rate):
-    loss = NAFLoss(make_network())
-    other = deepcopy(loss)
+def test_it_gives_what_soft_update_gives(rate, is_joined):
+    network = make_network()
+    other = NAFLoss(deepcopy(network))
+    if is_joined:
+        for part in (network.value, network.mu):
+            join_parameters(list(part.parameters()))
+    loss = NAFLoss(network)
+    other.load_state_dict(loss.state_dict())
     ours, theirs = ForeachSoftUpdate(loss, **rate), SoftUpdate(other, **rate)
     before = loss.target_value_network_params.clone()
     for _ in range(3):

@@ -171,7 +171,7 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
         {},
         {"format": "another"},
         {"format": 3},
-        {"format": "marl-lanes training state 3"},
+        {"format": "marl-lanes training state 4"},
     ],
 )
 def test_other_forms_are_refused(tmp_path, content):
@@ -182,7 +182,7 @@ def test_other_forms_are_refused(tmp_path, content):
 
 
 def test_a_checkpoint_is_not_a_training_state(path):
-    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 3"):
+    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 4"):
         read_state(path)
 
 

@@ -227,6 +227,33 @@ def test_each_network_learns_at_its_rate(tmp_path, option):
         assert max(steps) == pytest.approx(rate, rel=1e-2), part
 
 
+def test_the_frozen_mu_of_stage_one_begins_as_new_in_stage_two(tmp_path):
+    options = ["optimizer.mu_learning_rate=0.0002", "optimizer.max_gradient_norm=null"]
+    learner = filled(tmp_path, *options, "optimizer.pretraining_transitions=1000")
+
+    def update(transitions):
+        learner.counters["transitions"] = transitions
+        learner.anneal()
+        before = weights_of(learner)
+        learner.update(5 if transitions < 1000 else 1)
+        after = weights_of(learner)
+        return {
+            part: max(
+                (after[key] - before[key]).abs().max().item()
+                for key in before
+                if key.startswith(f"value_network_params.{part}")
+            )
+            for part in ("value", "mu")
+        }
+
+    first, second = update(0), update(1000)
+    learner.close()
+    assert first["value"] > 0.0
+    assert first["mu"] == 0.0
+    # Adam's first step is the rate, its later ones after zero gradients would be larger.
+    assert second["mu"] == pytest.approx(2e-4, rel=1e-2)
+
+
 def test_step_sizes_fall_through_stage_two(tmp_path):
     learner = filled(
         tmp_path,
