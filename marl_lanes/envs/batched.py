@@ -242,7 +242,7 @@ class LaneChangeEnv(EnvBase):
     def _step_proc_data(self, next_tensordict_out: TensorDictBase) -> TensorDictBase:
         """What ``_step`` returned: every key of the specs is there, with its shape and dtype.
 
-        TorchRL's own looks for keys to add, which takes a tenth of a step of 1024 roads.
+        TorchRL's own looks for missing ones at every step.
         """
         if self.run_type_checks:
             return super()._step_proc_data(next_tensordict_out)

@@ -57,7 +57,8 @@ class _Internal(CPUDispatcher):
 def internal(function: Function) -> Function:
     """Like ``compiled``, for what only kernels call: without the costly entry from Python.
 
-    It is inlined into its callers, which then look into the arrays once and not at every call.
+    It is inlined into its callers, which then look into the arrays once and not at every call, and
+    kept on disk with them alone.
 
     Raises:
         TypeError: when it is called from Python, unless numba's compilation is switched off.
@@ -97,11 +98,11 @@ def _unused_scipy() -> Iterator[None]:
 
     It imports it only to see whether linear algebra can be compiled; what compiles some still does.
     """
-    if "numba.np.arraymath" in sys.modules:
+    linear_algebra = cast("Any", import_module("numba.np.linalg"))
+    ensure_blas = getattr(linear_algebra, "ensure_blas", None)
+    if ensure_blas is None or "numba.np.arraymath" in sys.modules:
         yield
         return
-    linear_algebra = cast("Any", import_module("numba.np.linalg"))
-    ensure_blas = linear_algebra.ensure_blas
 
     def find_scipy() -> None:
         if find_spec("scipy") is None:

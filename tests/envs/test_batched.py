@@ -364,6 +364,30 @@ def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
         step(env, torch.where(steering, float("nan"), 0.0))
 
 
+def test_tensors_are_made_where_the_environment_is(monkeypatch):
+    env = LaneChangeEnv("paper", 2)
+    # Its specs cannot be made there.
+    monkeypatch.setattr(LaneChangeEnv, "device", torch.device("meta"))
+    elsewhere = env._reset()
+    assert elsewhere.device == elsewhere["changers"].device == torch.device("meta")
+    assert all(value.device.type == "meta" for value in elsewhere.values(True, True))
+
+
+def test_torchrl_checks_the_types_where_it_is_asked_to(monkeypatch):
+    env = LaneChangeEnv("paper", 2)
+    env.run_type_checks = True
+    assert env.rollout(2).shape == (2, 2)
+    read_out = env._read_out
+
+    def read_out_wrongly():
+        columns = read_out()
+        return columns._replace(reward=columns.reward.astype("f8"))
+
+    monkeypatch.setattr(env, "_read_out", read_out_wrongly)
+    with pytest.raises(TypeError, match="dtype"):
+        env.rollout(2)
+
+
 def test_the_device_may_be_left_open():
     env = LaneChangeEnv("paper", 1, device=None)
     assert env.rollout(2).device is None
