@@ -27,6 +27,7 @@ from marl_lanes.envs.batched import GROUP
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.config import TrainingConfig, register
 from marl_lanes.training.learner import Learner
+from marl_lanes.training.run_folder import EVALUATED
 from marl_lanes.training.timing import OTHER, format_split
 from marl_lanes.training.transitions import LivePolicy
 
@@ -126,7 +127,7 @@ def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float
 
 
 def _no_evaluation(network: NAFNetwork) -> dict[str, None]:  # noqa: ARG001 - evaluates nothing
-    return dict.fromkeys(("mean_return", "completion_rate", "mean_num_steps"))
+    return dict.fromkeys(EVALUATED)
 
 
 def main() -> None:
