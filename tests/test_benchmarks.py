@@ -1,0 +1,23 @@
+"""Benchmarks that make trainings of their own go through; their figures are for idle machines."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+def test_a_policy_step_and_the_split_of_a_training(tmp_path):
+    file = tmp_path / "figures.json"
+    program = [sys.executable, str(BENCHMARKS / "policy_step.py")]
+    options = ["--rounds", "1", "--transitions", "500", "--json", str(file)]
+    done = subprocess.run([*program, *options], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(file.read_text(encoding="utf-8"))
+    assert [row["slots"] for row in figures["slots"]] == [4, 16, 64]
+    assert set(figures["split"]) == {"fast", "paper", "interactive"}
+    for split in figures["split"].values():
+        microseconds, share = split["simulate"]
+        assert microseconds > 0.0
+        assert 0.0 < share < 1.0
