@@ -30,17 +30,18 @@ def join_parameters(parameters: Sequence[nn.Parameter]) -> nn.Parameter:
 
 
 def joined_runs(tensors: Sequence[Tensor]) -> list[list[int]]:
-    """The places of tensors that lie one behind the other in one storage, run by run."""
+    """The places of contiguous tensors one behind the other in one storage, run by run."""
     runs: list[list[int]] = []
     end = None
     for place in sorted(range(len(tensors)), key=lambda place: tensors[place].data_ptr()):
         tensor = tensors[place]
         storage = tensor.untyped_storage().data_ptr()
-        if (storage, tensor.data_ptr()) == end and tensor.is_contiguous():
+        is_contiguous = tensor.is_contiguous()
+        if (storage, tensor.data_ptr()) == end and is_contiguous:
             runs[-1].append(place)
         else:
             runs.append([place])
-        end = storage, tensor.data_ptr() + tensor.nbytes
+        end = (storage, tensor.data_ptr() + tensor.nbytes) if is_contiguous else None
     return runs
 
 

@@ -29,9 +29,10 @@ def test_runs_are_neighbors_in_one_storage():
     assert run == [2, 0]
     assert whole_of([first, second]).data_ptr() == whole.data_ptr()
     assert whole_of([first, second]).shape == (7,)
-    # One that does not fill its place does not continue a run.
-    square = torch.zeros(8)[4:].reshape(2, 2).mT
-    assert all(len(run) == 1 for run in joined_runs([square, alone]))
+    # One whose numbers lie in another order neither continues nor begins a run.
+    memory = torch.zeros(12)
+    square = memory[4:8].reshape(2, 2).mT
+    assert len(joined_runs([memory[:4], square, memory[8:]])) == 3
 
 
 def test_an_optimiser_of_the_whole_does_what_one_of_the_parts_does():
