@@ -47,6 +47,17 @@ class CollisionKind(IntEnum):
     SIDE = 1
 
 
+class Fate(IntEnum):
+    """What a step does with a vehicle."""
+
+    STAYS = 0
+    LEAVES = 1
+    """At the road's end."""
+    COLLIDES = 2
+    STRAYS = 3
+    """Off the road, or across it."""
+
+
 class Disposition(IntEnum):
     """What a driver does behind an engaged changer in its target lane."""
 
@@ -78,7 +89,7 @@ VEHICLE: Table = (
     ("disposition", "i4", "1", "Disposition, or beyond EXTERNAL"),
     ("agent", "i4", "1", "agent slot, -1 where it has no live command"),
     ("changer", "i4", "1", "vehicle slot of the engaged changer it is the follower of, -1 if none"),
-    ("fate", "i4", "1", "within a step: 0 stays, 1 leaves, 2 collides, 3 off the road"),
+    ("fate", "i4", "1", "Fate, of the last step"),
 )
 
 AGENT: Table = (
