@@ -33,7 +33,7 @@ def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, 
 
 
 @internal
-def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
+def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or none [m/s^2]."""
     interaction = 0.0
     if front > NONE:
@@ -266,7 +266,7 @@ def accelerate(
         profile = profiles[car.profile]
         if car.lane_low == car.lane_high and car.changer == NONE and car.agent == NONE:
             front = lanes[car.lane_low].nearest
-            acceleration = _drive_alone(car, profile, front, vehicles, constants)
+            acceleration = drive_alone(car, profile, front, vehicles, constants)
         else:
             acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
         if car.agent > NONE and constants.has_longitudinal:
