@@ -21,9 +21,9 @@ def accelerations_without_change(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Plain car following in the present state, as if no agent changed lanes.
 
-    The changer follows the nearest body ahead in its origin lane alone. The driver behind it in the target lane
-    follows the nearest body ahead in the lanes of its own body, the changer left out, by the
-    parameters of its profile whatever its disposition is. Neither brakes harder than
+    The changer follows the nearest body ahead in its origin lane alone. The driver behind it in
+    the target lane follows the nearest body ahead in the lanes of its own body, the changer left
+    out, by the parameters of its profile whatever its disposition is. Neither brakes harder than
     ``vehicle.max_braking``.
 
     Returns:

@@ -66,7 +66,9 @@ TINY = [
     "hardening.evaluation.criterion=mean_max_follower_braking_all",
 ]
 STATISTICS = {
+    "success_rate",
     "completion_rate",
+    "lost_after_rate",
     "abort_rate",
     "missed_rate",
     "collision_rate",
