@@ -50,7 +50,7 @@ class PaperMu(_YawAcceleration):
     T > 1.5 s, initially 0.25 rad/s^2, 0.31 and 3.4 s. It has no yaw-rate term: it turns a vehicle
     into the target lane, but no gains let it settle there.
 
-    Source: Eq. 6-7; the sign of the yaw term follows the module's frame.
+    Source: Eq. 6 and Eq. 7; the sign of the yaw term follows the module's frame.
     """
 
     needs = ("speed", "lateral_deviation", "yaw")
