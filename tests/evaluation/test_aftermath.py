@@ -131,25 +131,27 @@ def test_a_body_still_in_the_old_lane_may_leave_it_once():
     assert stage.finish().has_left_lane
 
 
-def test_lane_keeping_may_be_told_another_lane():
+@pytest.mark.parametrize(("lane", "away"), [(3, 1.0), (1, -1.0)])
+def test_lane_keeping_may_be_told_another_lane(lane, away):
+    both = (min(2, lane), max(2, lane))
     stage = Stage()
     stage.step(0.1)
-    stage.step(-3.65, lane=3, lanes=(2, 2))
-    stage.step(-2.0, lane=3, lanes=(2, 3))
-    stage.step(-0.5, lane=3)
-    stage.step(0.0, lane=3)
-    for _ in range(95):
-        stage.step(0.0, lane=3)
+    stage.step(-3.65 * away, lane=lane, lanes=(2, 2))
+    stage.step(-2.0 * away, lane=lane, lanes=both)
+    stage.step(-0.5 * away, lane=lane)
+    for _ in range(96):
+        stage.step(0.0, lane=lane)
     found = stage.finish()
     assert found.is_good
     assert found.watched_time == pytest.approx(10.0)
     # Deviations from the change's lane end with the order to leave it.
     assert found.deviation == pytest.approx([0.0, 0.1])
+    # Not away from it to the other side.
     stage = Stage()
-    stage.step(-3.65, lane=3, lanes=(2, 2))
-    stage.step(-5.0, lane=3, lanes=(1, 2))
-    stage.step(0.0, lane=3)
-    stage.step(0.0, lane=3, fate=Fate.LEAVES)
+    stage.step(-3.65 * away, lane=lane, lanes=(2, 2))
+    stage.step(-5.0 * away, lane=lane, lanes=(min(2, 4 - lane), max(2, 4 - lane)))
+    stage.step(0.0, lane=lane)
+    stage.step(0.0, lane=lane, fate=Fate.LEAVES)
     assert stage.finish().has_left_lane
 
 
