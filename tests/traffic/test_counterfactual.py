@@ -95,10 +95,11 @@ def test_an_aborting_changer_counts_and_a_waiting_one_does_not():
     assert math.isnan(followers[0])
 
 
-def test_in_traffic_it_is_what_they_do_as_long_as_the_change_has_no_effect():
+@pytest.mark.parametrize("name", ["paper", "curved"])
+def test_in_traffic_it_is_what_they_do_as_long_as_the_change_has_no_effect(name):
     """Neutral followers before the marking; changers without a target leader."""
     sparse = {"departures": {"interval": [2.0, 60.0]}}
-    simulator = Simulator(load_scenario("paper", sparse), 40, seed=3)
+    simulator = Simulator(load_scenario(name, sparse), 40, seed=3)
     simulator.reset()
     compared = [0, 0]
     for _ in range(800):
@@ -112,9 +113,9 @@ def test_in_traffic_it_is_what_they_do_as_long_as_the_change_has_no_effect():
             is_out = not car["lane_low"] <= agent["target_lane"] <= car["lane_high"]
             driven = simulator.vehicles["acceleration"][env]
             if agent["target_follower"] >= 0 and is_out and behind["agent"] < 0:
-                assert driven[agent["target_follower"]] == found[1][env, slot]
+                assert abs(driven[agent["target_follower"]] - found[1][env, slot]) < 1e-9
                 compared[1] += 1
             if agent["target_leader"] < 0 and is_out:
-                assert driven[agent["vehicle"]] == found[0][env, slot]
+                assert abs(driven[agent["vehicle"]] - found[0][env, slot]) < 1e-9
                 compared[0] += 1
     assert min(compared) > 50
