@@ -150,14 +150,14 @@ class Road:
         self.counts["num_ended"] = 0
         self.cars.sort(key=lambda car: -car.position)
         self.collide()
-        for slot in sorted(self.agents):
-            self.judge(self.agents[slot])
+        for agent in self.agents.values():
+            self.judge(agent)
+        for agent in self.agents.values():
+            self.end(agent)
         self.remove()
         self.depart()
         self.give_commands()
-        for slot in sorted(self.agents):
-            if self.agents[slot].outcome == Outcome.UNFINISHED:
-                self.renew(self.agents[slot])
+        self.renew()
         if self.external_names:
             self.pair()
         self.finish()
@@ -255,16 +255,19 @@ class Road:
         leaders = [None]
         for lane in self.lanes_of(car):
             leaders.append(self.ahead(car, lambda other, lane=lane: lane in self.lanes_of(other)))
-        beyond = self.leaders_beyond(car)
-        if car.agent is not None and car.agent.phase == Phase.ENGAGED:
-            leaders += beyond
         wanted = min(self.follow(car, front, profile, **style) for front in leaders)
+        # Toward its own target lane a driver is what its profile says, hostile or not.
+        beyond = [front for front in self.leaders_beyond(car) if front is not None]
+        toward = [self.follow(car, front, profile, **plain) for front in beyond]
+        if car.agent is not None and car.agent.phase == Phase.ENGAGED:
+            wanted = min(wanted, *toward, math.inf)
         if car.agent is not None and car.agent.phase == Phase.WAITING:
             # It aligns with the target lane, gently; beside somebody it falls back.
             gentle = -profile.comfortable_braking
-            aligning = min(self.follow(car, front, profile, **style) for front in beyond)
-            is_beside = self.is_beside(car, car.agent.neighbors["target_follower"])
-            wanted = min(wanted, gentle if is_beside else max(aligning, gentle))
+            if self.is_beside(car, car.agent.neighbors["target_follower"]):
+                wanted = min(wanted, gentle)
+            elif toward:
+                wanted = min(wanted, max(gentle, min(toward)))
         if car.changer is not None and car.disposition == Disposition.COOPERATIVE:
             gentle = self.scenario.followers.cooperative
             plain["headway"] = gentle.time_headway
@@ -278,7 +281,7 @@ class Road:
         external = self.scenario.followers.external
         wanted = following
         if car.agent is not None and second is not None:
-            car.agent.car_following = following
+            car.agent.car_following = self.no_reversing(car, following)
             wanted = self.within(car, actions[car.agent.slot][1], second)
             wanted = min(wanted, self.guard(car, second.max_acceleration))
         for slot, follower in self.followers.items():
@@ -328,7 +331,12 @@ class Road:
             aligning = min(self.follow(car, front, profile, **style) for front in beyond)
             is_beside = self.is_beside(car, around["target_follower"])
             wanted = min(wanted, gentle if is_beside else max(aligning, gentle))
-        return max(wanted, -self.scenario.vehicle.max_braking)
+        return self.no_reversing(car, max(wanted, -self.scenario.vehicle.max_braking))
+
+    def no_reversing(self, car, acceleration):
+        """Who would drive backwards after the step stops instead."""
+        after = max(0.0, car.speed + acceleration * self.scenario.time_step)
+        return (after - car.speed) / self.scenario.time_step
 
     def leaders_beyond(self, car):
         """Ahead of a commanded car, in or engaged toward its target lane; None among them."""
@@ -364,16 +372,18 @@ class Road:
             steering = pole**3 * error / max(car.speed, KEEPING_MIN_SPEED)
             steering -= 3 * pole**2 * car.yaw + 3 * pole * (car.yaw_rate - turn_rate)
             car.yaw_acceleration = min(max(steering, -bound), bound)
-        step = scenario.time_step
+        step, before = scenario.time_step, (car.speed, car.yaw_rate)
         car.speed = max(0.0, car.speed + car.acceleration * step)
         fastest = car.speed / scenario.vehicle.min_turning_radius
         car.yaw_rate = min(max(car.yaw_rate + car.yaw_acceleration * step, -fastest), fastest)
+        # What was applied, whatever was asked for.
+        car.acceleration = (car.speed - before[0]) / step
+        car.yaw_acceleration = (car.yaw_rate - before[1]) / step
         car.yaw += (car.yaw_rate - turn_rate) * step
         c = self.curvature(car.position)
         along = car.speed * math.cos(car.yaw) / (1.0 - c * car.lateral_position)
         car.position += along * step
         car.lateral_position += car.speed * math.sin(car.yaw) * step
-        car.changer = None
         across = [corner[1] for corner in self.corners(car)]
         width = scenario.road.num_lanes * scenario.road.lane_width
         is_turned = abs(car.yaw) >= math.pi / 2
@@ -468,9 +478,13 @@ class Road:
             return
         self.look(agent)
         agent.outcome = outcome
-        if outcome == Outcome.COMPLETED:
-            car.lane = agent.target
-        car.agent = None
+
+    def end(self, agent):
+        if agent.outcome == Outcome.UNFINISHED:
+            return
+        if agent.outcome == Outcome.COMPLETED:
+            agent.car.lane = agent.target
+        agent.car.agent = None
         self.counts["num_live"] -= 1
         self.counts["num_ended"] += 1
 
@@ -557,9 +571,23 @@ class Road:
             around["target_follower"], agent.car
         )
 
-    def renew(self, agent):
-        """Neighbors, then the phase, then what the agent sees, then whose follower is whose."""
-        self.find_neighbors(agent)
+    def renew(self):
+        """The phases from the front of the road on; then what all see and whose follower is whose.
+
+        Nothing that is seen or paired depends on who stands in which slot.
+        """
+        live = [car.agent for car in self.cars if car.agent is not None]
+        for agent in live:
+            self.find_neighbors(agent)
+            self.change_phase(agent)
+        for agent in live:
+            self.look(agent)
+        engaged = [agent for agent in live if agent.phase == Phase.ENGAGED]
+        for car in self.cars:
+            claims = [one.car for one in engaged if one.neighbors["target_follower"] is car]
+            car.changer = min(claims, key=lambda other: other.position, default=None)
+
+    def change_phase(self, agent):
         if agent.phase == Phase.WAITING:
             agent.phase = Phase.ENGAGED if self.is_accepted(agent) else Phase.WAITING
         elif agent.phase == Phase.ENGAGED:
@@ -569,12 +597,6 @@ class Road:
                 agent.num_aborts += 1
         elif self.has_arrived(agent):
             agent.phase = Phase.WAITING
-        self.look(agent, has_neighbors=True)
-        follower = agent.neighbors["target_follower"]
-        if agent.phase == Phase.ENGAGED and follower is not None:
-            other = follower.changer
-            if other is None or agent.car.position < other.position:
-                follower.changer = agent.car
 
     def pair(self):
         """Pay who was paired in this step; then who is behind whom, and what he sees."""
@@ -635,10 +657,9 @@ class Road:
             agent.neighbors[f"{prefix}leader"] = self.ahead(agent.car, is_there)
             agent.neighbors[f"{prefix}follower"] = self.behind(agent.car, is_there)
 
-    def look(self, agent, *, has_neighbors=False):
-        """Every feature by name."""
-        if not has_neighbors:
-            self.find_neighbors(agent)
+    def look(self, agent):
+        """The neighbors, and every feature by name."""
+        self.find_neighbors(agent)
         car, sign = agent.car, agent.direction
         seen = agent.observation
         seen["speed"], seen["acceleration"] = car.speed, car.acceleration

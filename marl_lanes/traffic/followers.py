@@ -13,13 +13,13 @@ from typing import Any
 
 from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
+from marl_lanes.traffic.kinematics import attainable
 from marl_lanes.traffic.neighbors import bumper_gap
 from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.state import NONE, Disposition, Phase
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
 _ADVERSARIAL = int(Disposition.ADVERSARIAL)
-_ABSENT = int(Phase.ABSENT)
 _WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
 _SPARE_SLOTS = 4
@@ -61,37 +61,38 @@ def is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
 
 @internal
 def drive_commanded(
+    car: Any,
     profile: Any,
     phase: int,
-    limit: float,
-    free_road: float,
-    interaction: float,
+    acceleration: float,
     ahead: float,
     is_giving_way: bool,
     is_sum_form: int,
 ) -> float:
-    """Car following of a vehicle with a live command, or of one without [m/s^2].
+    """Car following of a vehicle with a live command, its target lane included [m/s^2].
+
+    Toward the target lane a driver follows by its own profile, whatever its disposition makes of
+    its own lane.
 
     Args:
-        profile: of the driver.
+        car: record of the vehicle.
+        profile: of its driver.
         phase: of the command.
-        limit: a_m [m/s^2].
-        free_road: the free-road term [1].
-        interaction: the largest interaction term toward the leaders in the lanes of its body [1].
-        ahead: the same toward the leaders in its target lane; counts while engaged, and no harder
-            than comfortable while waiting [1].
+        acceleration: toward the leaders in the lanes of its body [m/s^2].
+        ahead: the largest interaction term toward the leaders in its target lane, 0 without one;
+            counts while engaged, and no harder than comfortable while waiting [1].
         is_giving_way: whether it waits beside a vehicle of the target lane and gives way to it.
         is_sum_form: as in ``idm_acceleration``.
     """
-    if phase == _ENGAGED:
-        interaction = max(interaction, ahead)
-    acceleration = idm_acceleration(limit, free_road, interaction, is_sum_form)
+    if phase == _WAITING and is_giving_way:
+        return float(min(acceleration, -profile.comfortable_braking))
+    if ahead == 0.0 or phase not in (_WAITING, _ENGAGED):
+        return float(acceleration)
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    beyond = idm_acceleration(profile.max_acceleration, free_road, ahead, is_sum_form)
     if phase == _WAITING:
-        aligning = idm_acceleration(limit, free_road, ahead, is_sum_form)
-        if is_giving_way:
-            aligning = -profile.comfortable_braking
-        acceleration = min(acceleration, max(aligning, -profile.comfortable_braking))
-    return acceleration
+        beyond = max(beyond, -profile.comfortable_braking)
+    return float(min(acceleration, beyond))
 
 
 @internal
@@ -110,17 +111,18 @@ def car_following(agent: Any, vehicles: Any, profiles: Any, constants: Any) -> f
         ahead = _interaction(car, vehicles[agent.target_leader], headway, scale, s0, constants)
         if car.lane_low <= agent.target_lane <= car.lane_high:
             interaction = max(interaction, ahead)
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    is_sum_form = constants.is_sum_form
     acceleration = drive_commanded(
+        car,
         profile,
         agent.phase,
-        profile.max_acceleration,
-        free_road_term(car.speed, car.desired_speed, profile.exponent),
-        interaction,
+        idm_acceleration(profile.max_acceleration, free_road, interaction, is_sum_form),
         ahead,
         is_beside(car, agent.target_follower, vehicles, constants),
-        constants.is_sum_form,
+        is_sum_form,
     )
-    return float(max(acceleration, -constants.max_braking))
+    return float(attainable(acceleration, car, constants))
 
 
 @internal
@@ -204,22 +206,27 @@ def _drive_among(
                 car, vehicles[front], headway, scale, profile.minimum_gap, constants
             )
             interaction = max(interaction, term)
-    ahead = 0.0
-    is_giving_way = False
-    phase = _ABSENT if car.agent == NONE else agents[car.agent].phase
-    if phase in (_WAITING, _ENGAGED):
-        target = lanes[agents[car.agent].target_lane]
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
+    if car.agent > NONE:
+        agent = agents[car.agent]
+        target = lanes[agent.target_lane]
+        ahead = 0.0
         for front in (target.nearest, target.nearest_engaged):
             if front > NONE:
                 term = _interaction(
-                    car, vehicles[front], headway, scale, profile.minimum_gap, constants
+                    car,
+                    vehicles[front],
+                    profile.time_headway,
+                    profile.braking_scale,
+                    profile.minimum_gap,
+                    constants,
                 )
                 ahead = max(ahead, term)
-        is_giving_way = is_beside(car, agents[car.agent].target_follower, vehicles, constants)
-    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
-    acceleration = drive_commanded(
-        profile, phase, limit, free_road, interaction, ahead, is_giving_way, constants.is_sum_form
-    )
+        is_giving_way = is_beside(car, agent.target_follower, vehicles, constants)
+        acceleration = drive_commanded(
+            car, profile, agent.phase, acceleration, ahead, is_giving_way, constants.is_sum_form
+        )
     if has_changer and car.disposition == _COOPERATIVE:
         headway = constants.cooperative_time_headway
         term = _interaction(
@@ -270,7 +277,7 @@ def accelerate(
         else:
             acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
         if car.agent > NONE and constants.has_longitudinal:
-            agents[car.agent].car_following = max(acceleration, -constants.max_braking)
+            agents[car.agent].car_following = attainable(acceleration, car, constants)
             wanted = actions[car.agent, 1]
             acceleration = _drive_by_agent(car, wanted, lanes, vehicles, agents, constants)
         elif car.changer > NONE and constants.num_external > 0:

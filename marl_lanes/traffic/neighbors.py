@@ -74,11 +74,22 @@ def neighbors_in_lanes(
 
 
 @internal
-def find_agent_neighbors(agent: Any, order: Any, count: int, vehicles: Any, agents: Any) -> None:
-    """Set the agent's leader and follower in its origin and in its target lane."""
+def find_rank(slot: int, order: Any) -> int:
+    """Place of the vehicle in the order from the front of the road."""
     rank = 0
-    while order[rank] != agent.vehicle:
+    while order[rank] != slot:
         rank += 1
+    return rank
+
+
+@internal
+def find_agent_neighbors(
+    agent: Any, rank: int, order: Any, count: int, vehicles: Any, agents: Any
+) -> None:
+    """Set the agent's leader and follower in its origin and in its target lane.
+
+    ``rank`` is its vehicle's place in the order.
+    """
     agent.leader, agent.target_leader = neighbors_in_lanes(
         rank, -1, agent.origin_lane, agent.target_lane, order, count, vehicles, agents
     )
