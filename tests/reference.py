@@ -36,6 +36,7 @@ class Car:
     lane: int
     profile: str
     disposition: int
+    moving_over: int = 0
     agent: "Agent | None" = None
     changer: "Car | None" = None
     is_off_road: bool = False
@@ -114,6 +115,7 @@ class Road:
                 slot=slot,
                 **{name: float(row[name]) for name in floats},
                 lane=int(row["lane"]),
+                moving_over=int(row["moving_over"]),
                 profile=names[row["profile"]],
                 disposition=int(row["disposition"]),
             )
@@ -141,6 +143,9 @@ class Road:
 
     def step(self, actions, follower_actions):
         """One time step; for each agent slot its action, and the acceleration of its follower."""
+        if self.scenario.followers.cooperative.moves_over:
+            for car in self.cars:
+                self.move_over(car)
         driven = [self.drive(car, actions, follower_actions) for car in self.cars]
         for car, acceleration in zip(self.cars, driven, strict=True):
             car.acceleration = acceleration
@@ -203,9 +208,8 @@ class Road:
     # Who is where
 
     def is_in(self, car, lane):
-        """By its body, or engaged toward it."""
-        engaged = car.agent is not None and car.agent.phase == Phase.ENGAGED
-        return lane in self.lanes_of(car) or (engaged and car.agent.target == lane)
+        """By its body, or on the way to it."""
+        return lane in self.lanes_of(car) or self.is_bound_for(car, lane)
 
     def ahead(self, car, is_candidate):
         """The nearest car ahead of ``car`` that is a candidate, or None."""
@@ -261,6 +265,9 @@ class Road:
         toward = [self.follow(car, front, profile, **plain) for front in beyond]
         if car.agent is not None and car.agent.phase == Phase.ENGAGED:
             wanted = min(wanted, *toward, math.inf)
+        if car.moving_over:
+            wanted = min(wanted, *toward, math.inf)
+        is_left = car.moving_over and car.changer and car.changer.agent.target != car.lane
         if car.agent is not None and car.agent.phase == Phase.WAITING:
             # It aligns with the target lane, gently; beside somebody it falls back.
             gentle = -profile.comfortable_braking
@@ -268,7 +275,8 @@ class Road:
                 wanted = min(wanted, gentle)
             elif toward:
                 wanted = min(wanted, max(gentle, min(toward)))
-        if car.changer is not None and car.disposition == Disposition.COOPERATIVE:
+        is_cooperative = car.disposition == Disposition.COOPERATIVE
+        if car.changer is not None and is_cooperative and not is_left:
             gentle = self.scenario.followers.cooperative
             plain["headway"] = gentle.time_headway
             yielding = self.follow(car, car.changer, profile, **plain)
@@ -339,12 +347,12 @@ class Road:
         return (after - car.speed) / self.scenario.time_step
 
     def leaders_beyond(self, car):
-        """Ahead of a commanded car, in or engaged toward its target lane; None among them."""
-        if car.agent is None:
+        """Ahead of a car on its way, in or bound for its target lane; None among them."""
+        if car.agent is None and not car.moving_over:
             return [None]
-        target = car.agent.target
+        target = car.lane if car.agent is None else car.agent.target
         in_lane = self.ahead(car, lambda other: target in self.lanes_of(other))
-        changing = self.ahead(car, lambda other: self.is_engaged_toward(other, target))
+        changing = self.ahead(car, lambda other: self.is_bound_for(other, target))
         return [None, in_lane, changing]
 
     def is_beside(self, car, follower):
@@ -353,9 +361,55 @@ class Road:
         return is_free and self.gap(follower, car) < 0.0
 
     @staticmethod
-    def is_engaged_toward(car, lane):
-        agent = car.agent
-        return agent is not None and agent.phase == Phase.ENGAGED and agent.target == lane
+    def is_bound_for(car, lane):
+        """Engaged toward the lane, or moving over to it."""
+        if car.agent is None:
+            return bool(car.moving_over) and car.lane == lane
+        return car.agent.phase == Phase.ENGAGED and car.agent.target == lane
+
+    # Yielding by moving over
+
+    def move_over(self, car):
+        """End or take back the car's move, or begin one."""
+        if car.moving_over:
+            if self.has_settled(car):
+                car.moving_over = 0
+            elif car.lane not in self.lanes_of(car) and not self.has_room_in(car, car.lane):
+                car.lane, car.moving_over = car.lane - car.moving_over, 0
+                self.counts["num_moves_returned"] += 1
+            return
+        is_cooperative = car.disposition == Disposition.COOPERATIVE
+        if car.changer is None or car.agent is not None or not is_cooperative or car.speed < 5.0:
+            return
+        asking = car.changer.agent
+        beyond = car.lane + asking.direction
+        is_wanted = asking.target == car.lane and car.lane not in self.lanes_of(car.changer)
+        if not is_wanted or not 0 <= beyond < self.scenario.road.num_lanes:
+            return
+        profile = self.scenario.drivers.profiles[car.profile]
+        style = {"v0": car.desired_speed, "a_m": profile.max_acceleration}
+        style |= {"headway": profile.time_headway, "scale_a_m": profile.max_acceleration}
+        gentle = self.scenario.followers.cooperative
+        patient = style | {"headway": gentle.time_headway}
+        braking = self.follow(car, car.changer, profile, **patient)
+        freely = self.follow(
+            car, self.ahead(car, lambda x: self.is_in(x, beyond)), profile, **style
+        )
+        is_worth_it = braking < 0.0 and freely > max(braking, -gentle.max_braking)
+        if is_worth_it and self.has_settled(car) and self.has_room_in(car, beyond):
+            car.lane, car.moving_over = beyond, asking.direction
+            self.counts["num_moves_over"] += 1
+
+    def has_room_in(self, car, lane):
+        ahead, behind = (
+            find(car, lambda x: self.is_in(x, lane)) for find in (self.ahead, self.behind)
+        )
+        return self.is_gap_safe(car, ahead) and self.is_gap_safe(behind, car)
+
+    def has_settled(self, car):
+        """In the lane that it keeps, by the completion criterion."""
+        is_inside = list(self.lanes_of(car)) == [car.lane]
+        return is_inside and self.is_at(car, self.centre(car.lane) - car.lateral_position)
 
     # Motion
 
@@ -368,7 +422,9 @@ class Road:
             car.yaw_acceleration = car.agent.direction * action
         else:
             pole, bound = scenario.lane_keeping.pole, scenario.lane_keeping.max_yaw_acceleration
+            sideways = min(1.0, 0.15 * max(car.speed, KEEPING_MIN_SPEED))
             error = self.centre(car.lane) - car.lateral_position
+            error = math.copysign(min(abs(error), 3 * sideways / pole), error)
             steering = pole**3 * error / max(car.speed, KEEPING_MIN_SPEED)
             steering -= 3 * pole**2 * car.yaw + 3 * pole * (car.yaw_rate - turn_rate)
             car.yaw_acceleration = min(max(steering, -bound), bound)
@@ -432,9 +488,13 @@ class Road:
         return agent.direction * (self.centre(reference) - agent.car.lateral_position)
 
     def has_arrived(self, agent):
-        rule, car = self.scenario.completion, agent.car
+        return self.is_at(agent.car, self.deviation(agent))
+
+    def is_at(self, car, deviation):
+        """The completion criterion at a distance to a lane's centre."""
+        rule = self.scenario.completion
         measured = (
-            (self.deviation(agent), rule.max_deviation),
+            (deviation, rule.max_deviation),
             (car.speed * math.sin(car.yaw), rule.max_lateral_speed),
             (car.yaw_rate - self.turn_rate(car), rule.max_yaw_rate),
         )
@@ -537,7 +597,7 @@ class Road:
         middle = range(1, scenario.road.num_lanes - 1)
         lanes = middle if scenario.command.lanes is None else scenario.command.lanes
         for car in self.cars:
-            if car.position < car.command_position:
+            if car.position < car.command_position or car.moving_over:
                 continue
             is_over = self.is_late or counts["num_commands"] == scenario.num_agents
             if counts["step"] < 0 or is_over or car.lane not in lanes:

@@ -1,11 +1,11 @@
 """Longitudinal acceleration of every vehicle: the leaders in its lanes, and its disposition.
 
 cooperative: takes the engaged changer as its leader from engagement on, with a longer headway and
-gentle braking while the changer's body is not yet in its lane. neutral: plain car following; the
-changer counts once its body overlaps the lane. adversarial: until the body is in its lane it drives
-for a higher speed, with more acceleration and a shorter headway, as if the changer were not there;
-then it follows the car-following law, as hard as it must brake. external: while it is paired, its
-policy's acceleration, within bounds; otherwise neutral.
+gentle braking while the changer's body is not yet in its lane; or leaves it the lane (yielding.py).
+neutral: plain car following; the changer counts once its body overlaps the lane. adversarial: until
+the body is in its lane it drives for a higher speed, with more acceleration and a shorter headway,
+as if the changer were not there; then it follows the car-following law, as hard as it must brake.
+external: while it is paired, its policy's acceleration, within bounds; otherwise neutral.
 """
 
 import math
@@ -33,7 +33,7 @@ def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, 
 
 
 @internal
-def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
+def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or none [m/s^2]."""
     interaction = 0.0
     if front > NONE:
@@ -181,6 +181,27 @@ def _drive_by_agent(
 
 
 @internal
+def yield_to(car: Any, profile: Any, changer: Any, constants: Any) -> float:
+    """Car following of a cooperative driver behind its changer, with the longer headway [m/s^2]."""
+    headway, scale = constants.cooperative_time_headway, profile.braking_scale
+    term = _interaction(car, changer, headway, scale, profile.minimum_gap, constants)
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    return idm_acceleration(profile.max_acceleration, free_road, term, constants.is_sum_form)
+
+
+@internal
+def _lane_ahead(car: Any, profile: Any, lane: Any, vehicles: Any, constants: Any) -> float:
+    """The largest interaction term toward who is ahead in the lane, or on the way to it [1]."""
+    ahead = 0.0
+    headway, scale, s0 = profile.time_headway, profile.braking_scale, profile.minimum_gap
+    for front in (lane.nearest, lane.nearest_engaged):
+        if front > NONE:
+            term = _interaction(car, vehicles[front], headway, scale, s0, constants)
+            ahead = max(ahead, term)
+    return ahead
+
+
+@internal
 def _drive_among(
     car: Any, profile: Any, lanes: Any, vehicles: Any, agents: Any, constants: Any
 ) -> float:
@@ -210,29 +231,19 @@ def _drive_among(
     acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
     if car.agent > NONE:
         agent = agents[car.agent]
-        target = lanes[agent.target_lane]
-        ahead = 0.0
-        for front in (target.nearest, target.nearest_engaged):
-            if front > NONE:
-                term = _interaction(
-                    car,
-                    vehicles[front],
-                    profile.time_headway,
-                    profile.braking_scale,
-                    profile.minimum_gap,
-                    constants,
-                )
-                ahead = max(ahead, term)
+        ahead = _lane_ahead(car, profile, lanes[agent.target_lane], vehicles, constants)
         is_giving_way = is_beside(car, agent.target_follower, vehicles, constants)
         acceleration = drive_commanded(
             car, profile, agent.phase, acceleration, ahead, is_giving_way, constants.is_sum_form
         )
+    elif car.moving_over != 0:
+        ahead = _lane_ahead(car, profile, lanes[car.lane], vehicles, constants)
+        beyond = idm_acceleration(limit, free_road, ahead, constants.is_sum_form)
+        acceleration = min(acceleration, beyond)
+        # It leaves the lane to the changer: no need to brake for who is not there yet.
+        has_changer = has_changer and agents[vehicles[car.changer].agent].target_lane == car.lane
     if has_changer and car.disposition == _COOPERATIVE:
-        headway = constants.cooperative_time_headway
-        term = _interaction(
-            car, vehicles[car.changer], headway, scale, profile.minimum_gap, constants
-        )
-        yielding = idm_acceleration(limit, free_road, term, constants.is_sum_form)
+        yielding = yield_to(car, profile, vehicles[car.changer], constants)
         if not is_body_in:
             yielding = max(yielding, -constants.cooperative_max_braking)
         acceleration = min(acceleration, yielding)
@@ -271,9 +282,10 @@ def accelerate(
         slot = order[rank]
         car = vehicles[slot]
         profile = profiles[car.profile]
-        if car.lane_low == car.lane_high and car.changer == NONE and car.agent == NONE:
+        is_alone = car.changer == NONE and car.agent == NONE and car.moving_over == 0
+        if is_alone and car.lane_low == car.lane_high:
             front = lanes[car.lane_low].nearest
-            acceleration = _drive_alone(car, profile, front, vehicles, constants)
+            acceleration = drive_alone(car, profile, front, vehicles, constants)
         else:
             acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
         if car.agent > NONE and constants.has_longitudinal:
@@ -291,7 +303,10 @@ def accelerate(
             # A body is narrower than a lane, but it can lie across the road.
             for lane in range(car.lane_low + 1, car.lane_high + 1):
                 lanes[lane].nearest = slot
-        if car.agent > NONE and agents[car.agent].phase == _ENGAGED:
-            lanes[agents[car.agent].target_lane].nearest_engaged = slot
+        if car.agent > NONE:
+            if agents[car.agent].phase == _ENGAGED:
+                lanes[agents[car.agent].target_lane].nearest_engaged = slot
+        elif car.moving_over != 0:
+            lanes[car.lane].nearest_engaged = slot
     # Departures take the first free slot: vehicles are in the first slots, with gaps.
     prefetch(every_vehicle, after, road.num_vehicles * size, _SPARE_SLOTS * size)

@@ -74,7 +74,8 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
     for rank in range(road.num_vehicles):
         slot = order[rank]
         car = vehicles[slot]
-        if car.position < car.command_position:
+        # Who is moving over decides afterwards.
+        if car.position < car.command_position or car.moving_over != 0:
             continue
         is_last_step = road.step == constants.horizon_steps > 0
         is_over = road.is_done or is_last_step or road.num_commands == constants.num_agents > 0

@@ -26,11 +26,11 @@ def insert_by_position(order: Any, rank: int, vehicles: Any) -> None:
 
 @internal
 def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
-    """Whether the body overlaps the lane, or the car is engaged toward it."""
+    """Whether the body overlaps the lane, or the car is engaged or moving over toward it."""
     if car.lane_low <= lane <= car.lane_high:
         return True
     if car.agent == NONE:
-        return False
+        return bool(car.moving_over != 0 and car.lane == lane)
     agent = agents[car.agent]
     return bool(agent.phase == _ENGAGED and agent.target_lane == lane)
 

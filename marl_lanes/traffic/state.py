@@ -71,6 +71,12 @@ VEHICLE: Table = (
     ("desired_speed", "f8", "m/s", "v0 of the car-following law"),
     ("command_position", "f8", "m", "where it may be commanded; inf once that is decided"),
     ("id", "i8", "1", "serial number on this road; -1 where the slot is empty"),
+    (
+        "moving_over",
+        "i8",
+        "1",
+        "while it yields by moving over: +1 from the right, -1 from the left; else 0",
+    ),
     ("lane", "i4", "lane", "the lane that it keeps"),
     ("lane_low", "i4", "lane", "right-most lane that its body overlaps"),
     ("lane_high", "i4", "lane", "left-most lane that its body overlaps"),
@@ -136,6 +142,8 @@ ROAD: Table = (
     ("num_collided", "i8", "1", "vehicles that left by a collision"),
     ("num_removed", "i8", "1", "vehicles removed in the last step, whose slots are not free yet"),
     ("num_collisions", "i8", "1", "collisions recorded since the reset"),
+    ("num_moves_over", "i8", "1", "moves over that followers began since the reset"),
+    ("num_moves_returned", "i8", "1", "of those: taken back before the marking"),
     ("num_commands", "i8", "1", "commands given in this episode"),
     ("num_live", "i8", "1", "agents live now"),
     ("num_ended", "i8", "1", "commands that ended in the last step, whose slots are not free yet"),
@@ -153,7 +161,7 @@ LANE: Table = (
         "1",
         "of the sweep over the vehicles: slot last seen in the lane, -1 if none",
     ),
-    ("nearest_engaged", "i4", "1", "the same, of those engaged toward the lane"),
+    ("nearest_engaged", "i4", "1", "the same, of those engaged or moving over toward the lane"),
 )
 
 COLLISION: Table = (

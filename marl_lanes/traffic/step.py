@@ -35,6 +35,7 @@ from marl_lanes.traffic.pairing import clear_follower, pair
 from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.reward import reward, sum_terms
 from marl_lanes.traffic.state import NONE, Outcome, Phase
+from marl_lanes.traffic.yielding import move_over
 
 STEP = 0
 SKIP = 1
@@ -260,9 +261,9 @@ def run(
 ) -> None:
     """Advance the masked roads among ``start`` to ``stop``; the others keep every byte.
 
-    A time step: drive, move, judge, remove, depart, command, renew, pair. It is one function,
-    with one entry point, because the compiler optimises all that a function calls anew at each
-    level.
+    A time step: move over, drive, move, judge, remove, depart, command, renew, pair. It is one
+    function, with one entry point, because the compiler optimises all that a function calls anew at
+    each level.
 
     Args:
         start: first road.
@@ -300,6 +301,8 @@ def run(
             is_first = False
             clear_ended(road, live, seen)
             free_slots(road, cars)
+            if p.is_moving_over_allowed:
+                move_over(road, ranks, cars, live, profiles, arcs, p)
             accelerate(
                 road,
                 lane,

@@ -142,6 +142,19 @@ CASES = {
         },
         meets=("paired", "abort", "scripted"),
     ),
+    "moving over": Case(
+        "yielding",
+        BUSY
+        | {
+            "departures": {"interval": [1.0, 2.5], "initial_speed": [8.0, 20.0]},
+            "followers": {
+                "mix": {"cooperative": 3.0, "neutral": 1.0, "adversarial": 1.0},
+                "cooperative": {"moves_over": True},
+            },
+        },
+        300,
+        meets=("moving over", "moved over", "took back", Outcome.COMPLETED),
+    ),
     "short": Case(
         "paper",
         BUSY | {"horizon": 12.0, "warmup": [0.0, 0.0]},
@@ -170,6 +183,7 @@ def compare_vehicles(road, simulator, env):
         changer = car.changer.slot if car.changer else -1
         expected = car.id, car.lane, lanes[0], lanes[-1], car.disposition, agent, changer
         fields = "id", "lane", "lane_low", "lane_high", "disposition", "agent", "changer"
+        assert row["moving_over"] == car.moving_over
         assert tuple(int(row[name]) for name in fields) == expected
         assert names[row["profile"]] == car.profile
     assert sum(simulator.vehicles[env]["id"] >= 0) == count
@@ -241,6 +255,16 @@ def met_behind(road):
             yield "scripted"
 
 
+def met_beside(road, before):
+    """What those did who moved over."""
+    moving = {car.id: car.lane for car in before.cars if car.moving_over}
+    for car in road.cars:
+        if car.moving_over:
+            yield "moving over"
+        elif car.id in moving:
+            yield "moved over" if moving[car.id] == car.lane else "took back"
+
+
 def compare_road(road, simulator, env):
     record = simulator.roads[env]
     assert {name: int(record[name]) for name in road.counts} == road.counts
@@ -272,7 +296,7 @@ def follow(case):
     names = simulator.scenario.followers.external_names
     met = set()
     for _ in range(case.num_steps):
-        roads = [Road.of(simulator, env) for env in range(2)]
+        roads, before = ([Road.of(simulator, env) for env in range(2)] for _ in range(2))
         actions = damped_actions(simulator, case.noise, generator)
         actions[..., 0] += case.bias
         behind = generator.uniform(-7.0, 7.0, (*simulator.agents.shape, 1)) + case.pushing
@@ -290,6 +314,7 @@ def follow(case):
             met |= {agent.phase for agent in road.agents.values()}
             met |= {agent.outcome for agent in road.agents.values()}
             met |= set(met_behind(road))
+            met |= set(met_beside(road, before[env]))
     return met
 
 
