@@ -67,7 +67,7 @@ def story(simulator):
     return told
 
 
-@pytest.mark.parametrize("scenario", ["dense", "interactive"])
+@pytest.mark.parametrize("scenario", ["dense", "interactive", "yielding"])
 def test_a_step_does_not_depend_on_the_slots(scenario):
     one = Simulator(scenario, seed=3, overrides=BUSY, learned_followers=True)
     other = Simulator(scenario, seed=4, overrides=BUSY, learned_followers=True)
