@@ -282,12 +282,15 @@ def accelerate(
         slot = order[rank]
         car = vehicles[slot]
         profile = profiles[car.profile]
-        is_alone = car.changer == NONE and car.agent == NONE and car.moving_over == 0
-        if is_alone and car.lane_low == car.lane_high:
-            front = lanes[car.lane_low].nearest
-            acceleration = drive_alone(car, profile, front, vehicles, constants)
-        else:
-            acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
+        lane = car.lane_low
+        is_alone = lane == car.lane_high and car.changer == NONE and car.agent == NONE
+        if is_alone and car.moving_over == 0:
+            # Most vehicles: nothing else can hold for them.
+            acceleration = drive_alone(car, profile, lanes[lane].nearest, vehicles, constants)
+            car.acceleration = max(acceleration, -constants.max_braking)
+            lanes[lane].nearest = slot
+            continue
+        acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
         if car.agent > NONE and constants.has_longitudinal:
             agents[car.agent].car_following = attainable(acceleration, car, constants)
             wanted = actions[car.agent, 1]
@@ -298,11 +301,9 @@ def accelerate(
                 wanted = follower_actions[index, 0]
                 acceleration = _drive_external(car, wanted, lanes, vehicles, agents, constants)
         car.acceleration = max(acceleration, -constants.max_braking)
-        lanes[car.lane_low].nearest = slot
-        if car.lane_high != car.lane_low:
-            # A body is narrower than a lane, but it can lie across the road.
-            for lane in range(car.lane_low + 1, car.lane_high + 1):
-                lanes[lane].nearest = slot
+        # A body is narrower than a lane, but it can lie across the road.
+        for lane in range(car.lane_low, car.lane_high + 1):
+            lanes[lane].nearest = slot
         if car.agent > NONE:
             if agents[car.agent].phase == _ENGAGED:
                 lanes[agents[car.agent].target_lane].nearest_engaged = slot
