@@ -94,6 +94,7 @@ def test_the_paper_recipe_has_the_papers_numbers():
     assert config.loss.target_interval == 1000
     assert config.optimizer.pretraining_transitions == 200_000
     assert config.collector.total_transitions == 400_000
+    assert (config.network.mu, config.replay.rare_share) == ("paper", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -132,6 +133,8 @@ BAD = [
     ("replay.capacity", 0),
     ("replay.storage", "tape"),
     ("replay.batch_size", 0),
+    ("replay.rare_share", -0.1),
+    ("replay.rare_share", 1.0),
     ("replay.warmup_transitions", -1),
     ("loss.gamma", -0.1),
     ("loss.gamma", 1.1),
@@ -249,7 +252,7 @@ def test_rays_address_is_an_option():
         (["ray.address=auto"], "ray.address = 'auto': must be null without ray"),
         (
             ["collector=multi", "num_workers=3"],
-            "collector.num_envs = 1024: must be a multiple of num_workers = 3",
+            "collector.num_envs = 512: must be a multiple of num_workers = 3",
         ),
     ],
 )
