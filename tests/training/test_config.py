@@ -213,7 +213,7 @@ def test_a_resumed_run_has_its_own_config(tmp_path):
 def test_a_field_without_a_value_is_named(tmp_path):
     path = tmp_path / "run" / "config.yaml"
     write_config(path, typed())
-    path.write_text(path.read_text("utf-8").replace("  final_rate: 1.0\n", ""), encoding="utf-8")
+    path.write_text(path.read_text("utf-8").replace("  final_rate: 0.05\n", ""), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"^optimizer.final_rate: must have .* resume = .*run'"):
         read_config(resolve(f"resume={tmp_path / 'run'}"), TrainingConfig)
     with pytest.raises(ConfigError, match=r"^optimizer.final_rate: .* the command line and its"):
