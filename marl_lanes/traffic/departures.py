@@ -51,6 +51,7 @@ def _place(car: Any, lane: int, lane_record: Any, arcs: Any, constants: Any) -> 
     car.lane = lane
     car.agent = NONE
     car.changer = NONE
+    car.moving_over = 0
     car.fate = _STAYS
     car.yaw_rate = road_turn_rate(car, arcs)
     occupy(car, half_extent(0.0, constants), constants)
@@ -105,6 +106,7 @@ def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: A
     road.num_vehicles = road.num_entered = road.num_left = road.num_off_road = 0
     road.num_removed = 0
     road.num_collided = road.num_collisions = 0
+    road.num_moves_over = road.num_moves_returned = 0
     road.num_commands = road.num_live = road.num_ended = road.is_done = road.is_cut = 0
     now = road.step * constants.time_step
     for lane in range(lanes.shape[0]):
