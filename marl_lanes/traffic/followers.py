@@ -12,6 +12,7 @@ import math
 from typing import Any
 
 from marl_lanes.traffic.compiled import internal
+from marl_lanes.traffic.curves import curve_acceleration
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
 from marl_lanes.traffic.neighbors import bumper_gap
 from marl_lanes.traffic.prefetch import prefetch
@@ -95,7 +96,7 @@ def drive_commanded(
 
 
 @internal
-def car_following(agent: Any, vehicles: Any, profiles: Any, constants: Any) -> float:
+def car_following(agent: Any, vehicles: Any, profiles: Any, arcs: Any, constants: Any) -> float:
     """What car following would do with the agent's vehicle in the present state [m/s^2].
 
     Its leaders are the agent's neighbors; the disposition of its driver does not enter.
@@ -120,14 +121,32 @@ def car_following(agent: Any, vehicles: Any, profiles: Any, constants: Any) -> f
         is_beside(car, agent.target_follower, vehicles, constants),
         constants.is_sum_form,
     )
+    acceleration = min(acceleration, _comfortable(car, profile, arcs, constants))
     return float(max(acceleration, -constants.max_braking))
 
 
 @internal
-def _guard(car: Any, limit: float, lanes: Any, vehicles: Any, agents: Any, constants: Any) -> float:
+def _comfortable(car: Any, profile: Any, arcs: Any, constants: Any) -> float:
+    """What the curves ahead leave to the driver, inf without one [m/s^2]."""
+    lateral, braking = profile.comfortable_lateral_acceleration, profile.comfortable_braking
+    return curve_acceleration(car, lateral, braking, arcs, constants)
+
+
+@internal
+def _guard(
+    car: Any,
+    profile: Any,
+    limit: float,
+    lanes: Any,
+    vehicles: Any,
+    agents: Any,
+    arcs: Any,
+    constants: Any,
+) -> float:
     """A limit (1 - (s*/s)^2) with the gap rule's d_min, tau and b_max for s0, T and b [m/s^2].
 
-    Toward the bodies ahead in the car's lanes and, of an engaged changer, in its target lane.
+    Toward the bodies ahead in the car's lanes and, of an engaged changer, in its target lane; not
+    more than what keeps a curve's speed with braking b_max ahead of it.
     """
     scale = 2.0 * math.sqrt(limit * constants.gap_max_braking)
     headway, s0 = constants.gap_time, constants.gap_minimum
@@ -143,7 +162,9 @@ def _guard(car: Any, limit: float, lanes: Any, vehicles: Any, agents: Any, const
             if front > NONE:
                 term = _interaction(car, vehicles[front], headway, scale, s0, constants)
                 interaction = max(interaction, term)
-    return float(limit * (1.0 - interaction))
+    lateral, braking = profile.comfortable_lateral_acceleration, constants.gap_max_braking
+    allowed = curve_acceleration(car, lateral, braking, arcs, constants)
+    return float(min(limit * (1.0 - interaction), allowed))
 
 
 @internal
@@ -156,26 +177,42 @@ def _bounded(car: Any, wanted: float, limit: float, braking: float, top: float, 
 
 @internal
 def _drive_external(
-    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, c: Any
+    car: Any,
+    profile: Any,
+    wanted: float,
+    lanes: Any,
+    vehicles: Any,
+    agents: Any,
+    arcs: Any,
+    c: Any,
 ) -> float:
     """A follower's action, within its bounds, its speed limit and the guard [m/s^2]."""
     limit = c.external_max_acceleration
     braking, top = c.external_max_braking, c.external_max_speed
     acceleration = _bounded(car, wanted, limit, braking, top, c)
     if c.is_external_guarded:
-        acceleration = min(acceleration, _guard(car, limit, lanes, vehicles, agents, c))
+        acceleration = min(
+            acceleration, _guard(car, profile, limit, lanes, vehicles, agents, arcs, c)
+        )
     return float(acceleration)
 
 
 @internal
 def _drive_by_agent(
-    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, c: Any
+    car: Any,
+    profile: Any,
+    wanted: float,
+    lanes: Any,
+    vehicles: Any,
+    agents: Any,
+    arcs: Any,
+    c: Any,
 ) -> float:
     """A changer's second action, within its bounds, its speed limit and the guard [m/s^2]."""
     limit = c.longitudinal_max_acceleration
     braking, top = c.longitudinal_max_braking, c.longitudinal_max_speed
     acceleration = _bounded(car, wanted, limit, braking, top, c)
-    return float(min(acceleration, _guard(car, limit, lanes, vehicles, agents, c)))
+    return float(min(acceleration, _guard(car, profile, limit, lanes, vehicles, agents, arcs, c)))
 
 
 @internal
@@ -243,6 +280,7 @@ def accelerate(
     actions: Any,
     follower_actions: Any,
     profiles: Any,
+    arcs: Any,
     constants: Any,
     every_vehicle: Any,
     after: int,
@@ -269,15 +307,21 @@ def accelerate(
             acceleration = _drive_alone(car, profile, front, vehicles, constants)
         else:
             acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
+        if arcs.shape[0] > 0:
+            acceleration = min(acceleration, _comfortable(car, profile, arcs, constants))
         if car.agent > NONE and constants.has_longitudinal:
             agents[car.agent].car_following = max(acceleration, -constants.max_braking)
             wanted = actions[car.agent, 1]
-            acceleration = _drive_by_agent(car, wanted, lanes, vehicles, agents, constants)
+            acceleration = _drive_by_agent(
+                car, profile, wanted, lanes, vehicles, agents, arcs, constants
+            )
         elif car.changer > NONE and constants.num_external > 0:
             index = vehicles[car.changer].agent
             if followers[index].vehicle == slot:
                 wanted = follower_actions[index, 0]
-                acceleration = _drive_external(car, wanted, lanes, vehicles, agents, constants)
+                acceleration = _drive_external(
+                    car, profile, wanted, lanes, vehicles, agents, arcs, constants
+                )
         car.acceleration = max(acceleration, -constants.max_braking)
         lanes[car.lane_low].nearest = slot
         if car.lane_high != car.lane_low:

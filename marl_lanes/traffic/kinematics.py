@@ -10,11 +10,20 @@ _KEEPING_MIN_SPEED = 1.0
 
 
 @compiled
+def arc_curvature(arc: Any, position: float) -> float:
+    """The curvature of an arc within it [1/m], linear in its clothoids; positive bends left."""
+    to_end = min(position - arc.start, arc.end - position)
+    if to_end >= arc.transition:
+        return float(arc.curvature)
+    return float(arc.curvature * (to_end / arc.transition))
+
+
+@compiled
 def curvature_at(arcs: Any, position: float) -> float:
-    """The road's curvature c(s) [1/m], piecewise constant; positive bends left."""
+    """The road's curvature c(s) [1/m], 0 outside its arcs; positive bends left."""
     for arc in range(arcs.shape[0]):
         if arcs[arc].start <= position < arcs[arc].end:
-            return float(arcs[arc].curvature)
+            return arc_curvature(arcs[arc], position)
     return 0.0
 
 
