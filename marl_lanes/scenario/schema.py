@@ -185,14 +185,17 @@ class Gap(Section):
 
 
 class Completion(Section):
-    """When an engaged changer has completed: every bound that is set holds."""
+    """When a changer has settled in its lane: every bound that is set holds.
+
+    In the target lane it has then completed; turned back, in its own, it waits again.
+    """
 
     max_deviation: Positive = Field(0.2, description="|lateral deviation| [m], > 0")
     max_lateral_speed: Positive | None = Field(
-        None, description="|lateral speed| [m/s], > 0, null for no bound"
+        0.25, description="|lateral speed| [m/s], > 0, null for no bound"
     )
     max_yaw_rate: Positive | None = Field(
-        None, description="|yaw rate - the road's own| [rad/s], > 0, null for no bound"
+        0.03, description="|yaw rate - the road's own| [rad/s], > 0, null for no bound"
     )
 
 

@@ -17,7 +17,7 @@ from naf.paper_networks import (
 from tensordict import TensorDict
 
 from marl_lanes.naf import NAFNetwork
-from marl_lanes.naf.mu import DampedMu, PaperMu
+from marl_lanes.naf.lateral import DampedMu, PaperMu
 
 
 def test_initial_paper_mu():

@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 
 import marl_lanes.naf.network
 from marl_lanes.naf import NAFNetwork
-from marl_lanes.naf.mu import DampedMu, PaperMu
+from marl_lanes.naf.lateral import DampedMu, PaperMu
 
 EXTREMES = (1e30, 4.0, 0.0, -4.0, -1e30)
 

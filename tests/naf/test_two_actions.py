@@ -13,7 +13,8 @@ from tensordict import TensorDict
 from torch import nn
 
 from marl_lanes.naf import NAFNetwork
-from marl_lanes.naf.mu import CarFollowingMu, ComposedMu, DampedMu, MLPMu, PaperMu
+from marl_lanes.naf.lateral import DampedMu, PaperMu
+from marl_lanes.naf.mu import CarFollowingMu, ComposedMu, MLPMu
 
 FEATURES = [
     "speed",
