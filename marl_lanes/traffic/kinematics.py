@@ -3,7 +3,12 @@
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from marl_lanes.traffic.compiled import compiled, internal
+
+FloatArray = NDArray[np.float64]
 
 _KEEPING_MIN_SPEED = 1.0
 """[m/s] Lane keeping divides by the speed; below this it steers as if it went this fast."""
@@ -35,6 +40,20 @@ def road_turn_rate(car: Any, arcs: Any) -> float:
         return 0.0
     progress = car.speed * math.cos(car.yaw) / (1.0 - curvature * car.lateral_position)
     return float(curvature * progress)
+
+
+def road_turning(cars: Any, arcs: Any) -> tuple[FloatArray, FloatArray]:
+    """Under each of the cars, (N,) VEHICLE: curvature [1/m] and ``road_turn_rate`` [rad/s], (N,)."""
+    curvature, turn_rate = np.empty(len(cars)), np.empty(len(cars))
+    _read_turning(np.ascontiguousarray(cars), arcs, curvature, turn_rate)
+    return curvature, turn_rate
+
+
+@compiled
+def _read_turning(cars: Any, arcs: Any, curvature: Any, turn_rate: Any) -> None:
+    for index in range(cars.shape[0]):
+        curvature[index] = curvature_at(arcs, cars[index].position)
+        turn_rate[index] = road_turn_rate(cars[index], arcs)
 
 
 @compiled
