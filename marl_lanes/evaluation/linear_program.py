@@ -37,6 +37,11 @@ class Program:
     max_yaw_acceleration: float
     reward: Reward
 
+    @property
+    def size(self) -> int:
+        """M."""
+        return int(self.free.shape[1])
+
     def solve(self, num_steps: int) -> tuple[float, FloatArray]:
         """Cost and actions (N,) of the cheapest N steps; infinite and empty where there are none.
 

@@ -151,13 +151,11 @@ class _Search:
         bounds[YAW_RATE] = completion.max_yaw_rate or np.inf
         self.bounds = bounds
         self.longest = replay.speed.size
-        self.size = 0
-        self.program: Program | None = None
         self.solved: dict[int, tuple[float, FloatArray]] = {}
 
     def run(self, num_recorded: int) -> Optimum | None:
         """The optimum; None where nothing leads to completion."""
-        self.linearise(np.empty(0), min(self.longest, num_recorded))
+        self.linearise(np.empty(0), num_recorded)
         start = num_recorded
         while math.isinf(self.cost_of(start)):
             if start == self.longest:
@@ -165,7 +163,8 @@ class _Search:
             start = min(self.longest, start + max(1, start // 2))
         # Far beyond the optimum the cost is flat, and its actions complete long before they end.
         start = min(self.first_completion(start), start, key=self.cost_of)
-        found = [self.refine(n, actions) for n, actions in self.find_dips(start).items()]
+        dips = self.find_dips(start)
+        found = [self.refine(n, actions) for n, actions in dips.items()]
         return max(found, key=lambda one: one.total_return)
 
     def find_dips(self, start: int) -> dict[int, FloatArray]:
@@ -197,7 +196,13 @@ class _Search:
         for _ in range(_MAX_ROUNDS):
             cost, is_completed = self.cost_in_simulation(actions)
             self.linearise(actions, min(self.longest, best + 2 * _STRIDE))
-            previous, best = best, _descend(self.cost_of, best, self.longest)
+            previous = best
+            # The shortest durations may turn out to be too short.
+            while math.isinf(self.cost_of(best)) and best < self.longest:
+                best += 1
+            best = _descend(self.cost_of, best, self.longest)
+            if math.isinf(self.cost_of(best)):
+                break
             gain = cost - self.cost_of(best)
             if is_completed and best == previous and gain <= TOLERANCE * cost:
                 return Optimum(total_return=-cost, num_steps=best, yaw_acceleration=actions)
@@ -212,7 +217,6 @@ class _Search:
 
     def resize(self, size: int) -> None:
         free, response = self.replay.linearise(size)
-        self.size = size
         self.program = Program(
             free,
             response,
@@ -224,18 +228,16 @@ class _Search:
 
     def cost_of(self, num_steps: int) -> float:
         """Of the linear program of so many steps; infinite where it has no solution."""
-        if num_steps > self.size:
+        if num_steps > self.program.size:
             kept = self.solved
             self.resize(min(self.longest, num_steps + 2 * _STRIDE))
             self.solved = kept
         if num_steps not in self.solved:
-            assert self.program is not None
             self.solved[num_steps] = self.program.solve(num_steps)
         return self.solved[num_steps][0]
 
     def first_completion(self, num_steps: int) -> int:
         """After how many of the solution's steps the linear motion is first completed."""
-        assert self.program is not None
         return self.program.first_completion(self.solved[num_steps][1])
 
     def cost_in_simulation(self, actions: FloatArray) -> tuple[float, bool]:
@@ -254,9 +256,10 @@ def _descend(cost_of: Callable[[int], float], start: int, longest: int) -> int:
     """Walk downhill to a duration from which a step either way costs no less."""
     best = start
     while True:
-        near = [n for n in (best - 1, best + 1) if 1 <= n <= longest]
+        # Of equal ones the shortest.
+        near = [n for n in (best - 1, best, best + 1) if 1 <= n <= longest]
         cheapest = min(near, key=cost_of)
-        if not cost_of(cheapest) < cost_of(best):
+        if cost_of(cheapest) == cost_of(best) and cheapest >= best:
             return best
         best = cheapest
 

@@ -61,6 +61,113 @@ def _slope(x: float, side: float, weight: float, bound: float) -> float:
 
 
 @compiled
+def _edge(
+    tableau: Any,
+    shifted: Any,
+    rows: Any,
+    columns: Any,
+    kinks: Any,
+    weights: Any,
+    bounds: Any,
+    gradient: Any,
+    norms: Any,
+) -> tuple[int, float, float]:
+    """The column of steepest descent or -1, its direction, and the derivative of f along it."""
+    m, n = tableau.shape
+    for j in range(n):
+        gradient[j] = 0.0
+        norms[j] = weights[columns[j]] * weights[columns[j]] + 1e-12
+    for i in range(m):
+        weight = weights[rows[i]]
+        slope, scale = _slope(shifted[i], 1.0, weight, bounds[rows[i]]), weight * weight
+        for j in range(n):
+            gradient[j] += slope * tableau[i, j]
+            norms[j] += scale * tableau[i, j] * tableau[i, j]
+    best, way, rate, steepness = -1, 1.0, 0.0, 0.0
+    for j in range(n):
+        q = columns[j]
+        right = gradient[j] + _slope(kinks[j], 1.0, weights[q], bounds[q])
+        left = -gradient[j] - _slope(kinks[j], -1.0, weights[q], bounds[q])
+        steepest = min(right, left)
+        if steepest < -_MIN_DESCENT and steepest * steepest > steepness * norms[j]:
+            best, rate, steepness = j, steepest, steepest * steepest / norms[j]
+            way = 1.0 if right < left else -1.0
+    return best, way, rate
+
+
+@compiled
+def _stop(
+    tableau: Any,
+    shifted: Any,
+    rows: Any,
+    columns: Any,
+    kinks: Any,
+    weights: Any,
+    bounds: Any,
+    ahead: Any,
+    best: int,
+    way: float,
+    rate: float,
+) -> tuple[int, float]:
+    """Where f no longer falls along the edge: whose kink it is, and which one.
+
+    Returns:
+        The row, -1 for the column's own quantity, -2 where f falls for ever; the kink.
+    """
+    for i in range(tableau.shape[0]):
+        speed = way * tableau[i, best]
+        ahead[i] = np.inf
+        if abs(speed) > _MIN_PIVOT:
+            kink = _next_kink(shifted[i], speed, weights[rows[i]], bounds[rows[i]])
+            ahead[i] = (kink - shifted[i]) / speed
+    q = columns[best]
+    own = kinks[best]
+    while True:
+        leaving, distance = -2, np.inf
+        for i in range(tableau.shape[0]):
+            if ahead[i] < distance:
+                leaving, distance = i, ahead[i]
+        next_own = _next_kink(own, way, weights[q], bounds[q])
+        if abs(next_own - kinks[best]) < distance:
+            own = next_own
+            rate += PENALTY if abs(own) == bounds[q] else 2.0 * weights[q]
+            if rate >= 0.0:
+                return -1, own
+            continue
+        if leaving < 0:
+            return leaving, 0.0
+        speed, r = way * tableau[leaving, best], rows[leaving]
+        # Which of its kinks it is: rounding must not miss it.
+        reached = shifted[leaving] + speed * distance
+        kink = 0.0
+        if abs(abs(reached) - bounds[r]) < abs(reached):
+            kink = bounds[r] if reached > 0.0 else -bounds[r]
+        rate += abs(speed) * (PENALTY if kink != 0.0 else 2.0 * weights[r])
+        if rate >= 0.0:
+            return leaving, kink
+        further = _next_kink(kink, speed, weights[r], bounds[r])
+        ahead[leaving] = (further - shifted[leaving]) / speed
+
+
+@compiled
+def _exchange(tableau: Any, pivots: Any, leaving: int, best: int) -> None:
+    """The row ``leaving`` and the column ``best`` change places; ``pivots`` (n,) is work."""
+    inverse = 1.0 / tableau[leaving, best]
+    for j in range(tableau.shape[1]):
+        pivots[j] = tableau[leaving, j] * inverse
+    for i in range(tableau.shape[0]):
+        factor = tableau[i, best]
+        if i == leaving or factor == 0.0:
+            continue
+        for j in range(tableau.shape[1]):
+            tableau[i, j] -= factor * pivots[j]
+        tableau[i, best] = factor * inverse
+    for j in range(tableau.shape[1]):
+        tableau[leaving, j] = -pivots[j]
+    tableau[leaving, best] = inverse
+
+
+@compiled
 def descend(
     tableau: Any,
     shifted: Any,
@@ -70,7 +177,6 @@ def descend(
     kinks: Any,
     weights: Any,
     bounds: Any,
-    slopes: Any,
     gradient: Any,
     norms: Any,
     ahead: Any,
@@ -87,106 +193,38 @@ def descend(
         kinks: (n,) at which of its kinks a column is.
         weights: (m + n,) w by quantity.
         bounds: (m + n,) b by quantity, infinite for none.
-        slopes, ahead: (m,) work.
-        gradient, norms: (n,) work.
+        gradient: (n,) work.
+        norms: (n,) work.
+        ahead: (m,) work.
         max_exchanges: > 0.
 
     Returns:
         The number of exchanges; max_exchanges where they were not enough.
     """
-    m, n = tableau.shape
     for count in range(max_exchanges):
-        for j in range(n):
-            gradient[j] = 0.0
-            norms[j] = weights[columns[j]] * weights[columns[j]] + 1e-12
-        for i in range(m):
-            weight = weights[rows[i]]
-            slope = _slope(shifted[i], 1.0, weight, bounds[rows[i]])
-            slopes[i] = slope
-            scale = weight * weight
-            for j in range(n):
-                gradient[j] += slope * tableau[i, j]
-                norms[j] += scale * tableau[i, j] * tableau[i, j]
-        best, descent, way = -1, 0.0, 1.0
-        for j in range(n):
-            q = columns[j]
-            right = gradient[j] + _slope(kinks[j], 1.0, weights[q], bounds[q])
-            left = -gradient[j] - _slope(kinks[j], -1.0, weights[q], bounds[q])
-            steepest = min(right, left)
-            if steepest < -_MIN_DESCENT and steepest * steepest > descent * norms[j]:
-                best, descent = j, steepest * steepest / norms[j]
-                way = 1.0 if right < left else -1.0
+        best, way, rate = _edge(
+            tableau, shifted, rows, columns, kinks, weights, bounds, gradient, norms
+        )
         if best < 0:
             return count
-        q = columns[best]
-        rate = way * gradient[best] + way * _slope(kinks[best], way, weights[q], bounds[q])
-        # Distances to the next kinks, then over them in turn while f falls.
-        for i in range(m):
-            speed = way * tableau[i, best]
-            ahead[i] = np.inf
-            if abs(speed) > _MIN_PIVOT:
-                kink = _next_kink(shifted[i], speed, weights[rows[i]], bounds[rows[i]])
-                ahead[i] = (kink - shifted[i]) / speed
-        own = kinks[best]
-        while True:
-            leaving, distance = -1, np.inf
-            for i in range(m):
-                if ahead[i] < distance:
-                    leaving, distance = i, ahead[i]
-            next_own = _next_kink(own, way, weights[q], bounds[q])
-            is_own = abs(next_own - kinks[best]) < distance
-            if is_own:
-                distance = abs(next_own - kinks[best])
-                own = next_own
-                rate += PENALTY if abs(own) == bounds[q] else 2.0 * weights[q]
-                if rate >= 0.0:
-                    break
-                continue
-            if leaving < 0:
-                return max_exchanges
-            speed = way * tableau[leaving, best]
-            kink = shifted[leaving] + speed * distance
-            r = rows[leaving]
-            # Which of its kinks: rounding must not miss it.
-            place = 0.0
-            if bounds[r] < np.inf and abs(abs(kink) - bounds[r]) < abs(kink):
-                place = bounds[r] if kink > 0.0 else -bounds[r]
-            jump = PENALTY if place != 0.0 else 2.0 * weights[r]
-            rate += abs(speed) * jump
-            if rate >= 0.0:
-                break
-            further = _next_kink(place, speed, weights[r], bounds[r])
-            ahead[leaving] = (further - shifted[leaving]) / speed
-        if is_own:
-            step = own - kinks[best]
-            kinks[best] = own
-            for i in range(m):
-                shifted[i] += tableau[i, best] * step
-                exact[i] += tableau[i, best] * step
-            continue
-        pivot = tableau[leaving, best]
-        step = (place - shifted[leaving]) / pivot
-        exact_step = (place - exact[leaving]) / pivot
-        for i in range(m):
+        leaving, kink = _stop(
+            tableau, shifted, rows, columns, kinks, weights, bounds, ahead, best, way, rate
+        )
+        if leaving < -1:
+            break
+        step = exact_step = kink - kinks[best]
+        if leaving >= 0:
+            step = (kink - shifted[leaving]) / tableau[leaving, best]
+            exact_step = (kink - exact[leaving]) / tableau[leaving, best]
+        for i in range(tableau.shape[0]):
             shifted[i] += tableau[i, best] * step
             exact[i] += tableau[i, best] * exact_step
-        shifted[leaving] = kinks[best] + step
-        exact[leaving] = kinks[best] + exact_step
-        kinks[best] = place
-        rows[leaving], columns[best] = columns[best], rows[leaving]
-        inverse = 1.0 / pivot
-        for j in range(n):
-            gradient[j] = tableau[leaving, j] * inverse
-        for i in range(m):
-            factor = tableau[i, best]
-            if i == leaving or factor == 0.0:
-                continue
-            for j in range(n):
-                tableau[i, j] -= factor * gradient[j]
-            tableau[i, best] = factor * inverse
-        for j in range(n):
-            tableau[leaving, j] = -gradient[j]
-        tableau[leaving, best] = inverse
+        if leaving >= 0:
+            shifted[leaving] = kinks[best] + step
+            exact[leaving] = kinks[best] + exact_step
+            rows[leaving], columns[best] = columns[best], rows[leaving]
+            _exchange(tableau, gradient, leaving, best)
+        kinks[best] = kink
     return max_exchanges
 
 
@@ -227,7 +265,6 @@ def minimise(
         kinks,
         weights,
         bounds,
-        np.empty(m),
         np.empty(n),
         np.empty(n),
         np.empty(m),

@@ -43,7 +43,7 @@ def road_turn_rate(car: Any, arcs: Any) -> float:
 
 
 def road_turning(cars: Any, arcs: Any) -> tuple[FloatArray, FloatArray]:
-    """Under each of the cars, (N,) VEHICLE: curvature [1/m] and ``road_turn_rate`` [rad/s], (N,)."""
+    """Under each of N cars: the curvature [1/m] and ``road_turn_rate`` [rad/s], (N,) float64."""
     curvature, turn_rate = np.empty(len(cars)), np.empty(len(cars))
     _read_turning(np.ascontiguousarray(cars), arcs, curvature, turn_rate)
     return curvature, turn_rate

@@ -19,7 +19,8 @@ def trace(count, **columns):
     rows = np.zeros(count, TRACE)
     rows["step"] = np.arange(1, count + 1)
     rows["phase"] = Phase.ENGAGED
-    rows["speed"] = 20.0
+    rows["speed"] = rows["speed_before"] = 20.0
+    rows["direction"] = 1
     rows["deviation_before"] = 3.75
     rows["leader_gap"] = rows["follower_gap"] = rows["follower_gap_before"] = np.inf
     for name in ("leader_speed", "follower_speed", "follower_acceleration"):
