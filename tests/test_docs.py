@@ -96,9 +96,8 @@ def test_the_pages_are_found_and_linked_from_their_index():
 def test_every_example_runs(page, tmp_path):
     """The page's blocks in order, each with its own names, in one process in an empty folder."""
     # What the page on training reads: a checkpoint of a trained policy.
-    path = tmp_path / "runs" / "settled" / "checkpoints" / "final.pt"
-    save_checkpoint(path, make_network(load_scenario("settled"), "damped"), "settled", 0)
-    (tmp_path / "runs" / "paper").symlink_to(tmp_path / "runs" / "settled")
+    path = tmp_path / "runs" / "paper" / "checkpoints" / "final.pt"
+    save_checkpoint(path, make_network(load_scenario("paper"), "cascade"), "paper", 0)
     blocks = BLOCK.findall(text_of(page))
     for index, block in enumerate(blocks):
         (tmp_path / f"block_{index}.py").write_text(block, encoding="utf-8")

@@ -50,7 +50,7 @@ class PaperMu(_YawAcceleration):
     T > 1.5 s, initially 0.25 rad/s^2, 0.31 and 3.4 s. It has no yaw-rate term: it turns a vehicle
     into the target lane, but no gains let it settle there.
 
-    Source: Eq. 6-7; the sign of the yaw term follows the module's frame.
+    Source: Eq. 6 and Eq. 7; the sign of the yaw term follows the module's frame.
     """
 
     needs = ("speed", "lateral_deviation", "yaw")
@@ -199,57 +199,65 @@ def steer_by_cascade(
 class CascadeMu(_YawAcceleration):
     """`steer_by_cascade` with gains from six networks, initially TUNED_CASCADE.
 
-    Whatever is learned the linear loop is stable, and a change that is turned back ends before the
-    road's edge: a_max is at least 0.3 of the bound, a_top in [0.3, 1.5] m/s^2, T above 0.8 s, zeta
-    in [0.4, 1.4], tau in [0.1 s, zeta T] (stable below 2 zeta T), the threshold below 0.05 rad/s^2.
+    Whatever is learned the vehicle comes within 0.3 m of the centre, and one that is turned back at
+    the marking stays on the road: each gain keeps to its range. The lag is shorter than 2 zeta T,
+    above which the linear loop is unstable. a_top is at most what UN R79 allows, 1 m/s^2. What the
+    threshold holds back is at most the turn for 0.2 m of deviation, and 0.3 of the largest turn.
     """
 
     needs = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
     initial_a_max = TUNED_CASCADE.limit
-    limit_floor = 0.3
-    min_time = 0.8
-    lateral_limits = (0.3, 1.5)
-    dampings = (0.4, 1.4)
-    min_lag = 0.1
+    limit_floor = 0.4
+    times = (1.0, 2.5)
+    lateral_limits = (0.3, 1.0)
+    lags = (0.1, 0.25)
+    dampings = (0.5, 1.4)
     max_threshold = 0.05
+    max_held_back = 0.2
+    """[m]"""
+    max_share_held_back = 0.3
 
     def __init__(
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
         super().__init__(name, features, box)
         tuned = TUNED_CASCADE
-        longest_lag = tuned.damping * tuned.time
         initial = (
             self.initial_limit_logit(self.limit_floor),
-            _inverse_softplus(tuned.time - self.min_time),
-            _logit(_share(tuned.lateral_limit, *self.lateral_limits)),
-            _logit(_share(tuned.lag, self.min_lag, longest_lag)),
-            _logit(_share(tuned.damping, *self.dampings)),
-            _logit(tuned.threshold / self.max_threshold),
+            _range_logit(tuned.time, *self.times),
+            _range_logit(tuned.lateral_limit, *self.lateral_limits),
+            _range_logit(tuned.lag, *self.lags),
+            _range_logit(tuned.damping, *self.dampings),
+            _range_logit(tuned.threshold, 0.0, self.max_threshold),
         )
         self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
 
-    def gains(self, normalised: Tensor) -> CascadeGains[Tensor]:
+    def gains(self, speed: Tensor, normalised: Tensor) -> CascadeGains[Tensor]:
         """The gains in a state, (..., 1) each."""
-        limit, time, *logits = self.heads(normalised).split(1, dim=-1)
+        limit, *logits = self.heads(normalised).split(1, dim=-1)
         shares = torch.sigmoid(torch.cat(logits, dim=-1))
-        lateral_limit, lag, damping, threshold = shares.split(1, dim=-1)
-        time = self.min_time + softplus(time)
-        damping = _between(damping, *self.dampings)
+        time, lateral_limit, lag, damping, threshold = shares.split(1, dim=-1)
+        lateral_limit = _in_range(lateral_limit, *self.lateral_limits)
+        lag = _in_range(lag, *self.lags)
+        time = _in_range(time, *self.times)
+        held_back = torch.minimum(
+            self.max_held_back / time.square(), self.max_share_held_back * lateral_limit
+        )
+        highest = held_back / (speed.clamp(min=1.0) * lag)
         return CascadeGains(
             limit=self.limit(limit, self.limit_floor),
             time=time,
-            lateral_limit=_between(lateral_limit, *self.lateral_limits),
-            lag=_between(lag, self.min_lag, damping * time),
-            damping=damping,
-            threshold=self.max_threshold * threshold,
+            lateral_limit=lateral_limit,
+            lag=lag,
+            damping=_in_range(damping, *self.dampings),
+            threshold=torch.minimum(self.max_threshold * threshold, highest),
         )
 
     def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
         """The greedy yaw acceleration, (..., 1) [rad/s^2]."""
         speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
-        relative_yaw_rate = yaw_rate - curvature * speed
-        return steer_by_cascade(speed, deviation, yaw, relative_yaw_rate, self.gains(normalised))
+        gains = self.gains(speed, normalised)
+        return steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, gains)
 
 
 def _logit(share: float) -> float:
@@ -260,9 +268,9 @@ def _inverse_softplus(value: float) -> float:
     return log(expm1(value))
 
 
-def _share(value: float, low: float, high: float) -> float:
-    return (value - low) / (high - low)
+def _range_logit(value: float, low: float, high: float) -> float:
+    return _logit((value - low) / (high - low))
 
 
-def _between(share: Tensor, low: float, high: Tensor | float) -> Tensor:
+def _in_range(share: Tensor, low: float, high: float) -> Tensor:
     return low + share * (high - low)

@@ -281,7 +281,7 @@ class Observation(Section):
 
 
 class Reward(Section):
-    """Eq. 10-12 and the failure penalty."""
+    """Eq. 10, Eq. 11, Eq. 12 and the failure penalty."""
 
     acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
     yaw_rate_weight: NonNegative = Field(0.5, description="w_rate [1/(rad/s)], >= 0")

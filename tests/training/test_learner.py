@@ -312,7 +312,7 @@ def test_a_replay_buffer_of_files_changes_nothing_else(tmp_path):
         runs[storage] = tables(run)
     assert runs["memory"] == runs["memmap"]
     crashed = tmp_path / "memmap-crashed"
-    files = list((crashed / "replay").rglob("*.memmap"))
+    files = list((crashed / "replay" / "newest").rglob("*.memmap"))
     assert len(files) > 5
     sizes = {path.stem: path.stat().st_size for path in files}
     assert sizes["action"] == 150 * 4
@@ -327,10 +327,11 @@ def test_a_replay_buffer_of_files_changes_nothing_else(tmp_path):
 
 
 def test_a_replay_buffer_that_does_not_fit_on_the_disk(tmp_path, monkeypatch):
-    free = 2 * 1000 * 67 - 1
+    # A fifth of the ring of the rare ones comes on top.
+    free = 2 * 1200 * 68 - 1
     usage = type("Usage", (), {"free": free})
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    learner = changers("replay.storage=memmap", "replay.capacity=1000")
+    learner = changers("replay.storage=memmap", "replay.capacity=1000", "replay.rare_share=0.2")
     with pytest.raises(ConfigError, match=rf"replay.capacity = 1000: must fit .* {free} are free"):
         learner.begin(tmp_path / "run")
     assert not (tmp_path / "run" / "metrics.csv").exists()
@@ -342,7 +343,7 @@ def test_the_memory_of_a_road_and_of_a_transition(tmp_path, make):
     learner = make()
     learner.begin(tmp_path / "run")
     assert learner.train(Evaluation())
-    stored = learner.replay[:]
+    stored = learner.replay.rings["newest"][:]
     assert learner.memory["bytes_per_stored_transition"] == stored.bytes() / len(stored)
     roads = len(learner.env.simulator.snapshot()) / 8
     assert roads < learner.memory["bytes_per_environment"] < 1.2 * roads
