@@ -44,8 +44,10 @@ def _make_parser() -> argparse.ArgumentParser:
     evaluate = commands.add_parser(
         "evaluate",
         help="drive a policy on seeded traffic and measure it against the optimum",
-        description="Drive a policy on seeded traffic and print its metrics, which docs/metrics.md "
-        "defines.",
+        description="Drive a policy on seeded traffic, watch every vehicle for 10 s after its "
+        "change, and print the metrics that docs/metrics.md defines: first the success rate, the "
+        "share of maneuvers that complete and are neither lost, in a collision nor out of their "
+        "lane in that time.",
     )
     _add_policy(evaluate, is_required=True)
     _add_traffic(evaluate, num_maneuvers=1000)
@@ -146,6 +148,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     # Imported here: `marl-lanes scenarios` and errors in the arguments need none of it.
     from marl_lanes.evaluation.metrics import evaluate
     from marl_lanes.evaluation.rollout import run_maneuvers
+    from marl_lanes.evaluation.tables import format_summary
     from marl_lanes.training.files import write_json
 
     _prepare(options)
@@ -164,8 +167,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     summary = evaluate(maneuvers, scenario, progress=lambda count: show(number + count))
     show.close()
     result = {"scenario": scenario.name, "policy": name, "seed": options.seed, **summary}
-    for key, value in result.items():
-        print(f"{key:36} {value:.5g}" if isinstance(value, float) else f"{key:36} {value}")
+    print(format_summary(result))
     if options.json is not None:
         write_json(options.json, result)
 

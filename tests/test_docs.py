@@ -134,11 +134,19 @@ def test_every_metric_is_documented():
 
 def lane_change():
     """Metrics of one maneuver, of which only the names matter."""
-    from marl_lanes.evaluation.metrics import ManeuverMetrics
+    from marl_lanes.evaluation.measures import AftermathMetrics, ManeuverMetrics
+    from marl_lanes.evaluation.safety import SafetyMetrics
     from marl_lanes.traffic.state import Outcome
 
-    values = {field.name: 0.0 for field in dataclasses.fields(ManeuverMetrics)}
-    return ManeuverMetrics(**(values | {"outcome": Outcome.COMPLETED}))
+    def zeros(kind):
+        return {field.name: 0.0 for field in dataclasses.fields(kind)}
+
+    safety, after = (
+        SafetyMetrics(**zeros(SafetyMetrics)),
+        AftermathMetrics(**zeros(AftermathMetrics)),
+    )
+    parts = {"outcome": Outcome.COMPLETED, "safety": safety, "after": after}
+    return ManeuverMetrics(**(zeros(ManeuverMetrics) | parts))
 
 
 def test_every_scenario_field_is_documented():

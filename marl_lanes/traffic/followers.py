@@ -1,11 +1,11 @@
 """Longitudinal acceleration of every vehicle: the leaders in its lanes, and its disposition.
 
 cooperative: takes the engaged changer as its leader from engagement on, with a longer headway and
-gentle braking while the changer's body is not yet in its lane. neutral: plain car following; the
-changer counts once its body overlaps the lane. adversarial: until the body is in its lane it drives
-for a higher speed, with more acceleration and a shorter headway, as if the changer were not there;
-then it follows the car-following law, as hard as it must brake. external: while it is paired, its
-policy's acceleration, within bounds; otherwise neutral.
+gentle braking while the changer's body is not yet in its lane; or leaves it the lane (yielding.py).
+neutral: plain car following; the changer counts once its body overlaps the lane. adversarial: until
+the body is in its lane it drives for a higher speed, with more acceleration and a shorter headway,
+as if the changer were not there; then it follows the car-following law, as hard as it must brake.
+external: while it is paired, its policy's acceleration, within bounds; otherwise neutral.
 """
 
 import math
@@ -14,13 +14,13 @@ from typing import Any
 from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.curves import curve_acceleration
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
+from marl_lanes.traffic.kinematics import attainable
 from marl_lanes.traffic.neighbors import bumper_gap
 from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.state import NONE, Disposition, Phase
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
 _ADVERSARIAL = int(Disposition.ADVERSARIAL)
-_ABSENT = int(Phase.ABSENT)
 _WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
 _SPARE_SLOTS = 4
@@ -34,7 +34,7 @@ def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, 
 
 
 @internal
-def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
+def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or none [m/s^2]."""
     interaction = 0.0
     if front > NONE:
@@ -62,37 +62,38 @@ def is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
 
 @internal
 def drive_commanded(
+    car: Any,
     profile: Any,
     phase: int,
-    limit: float,
-    free_road: float,
-    interaction: float,
+    acceleration: float,
     ahead: float,
     is_giving_way: bool,
     is_sum_form: int,
 ) -> float:
-    """Car following of a vehicle with a live command, or of one without [m/s^2].
+    """Car following of a vehicle with a live command, its target lane included [m/s^2].
+
+    Toward the target lane a driver follows by its own profile, whatever its disposition makes of
+    its own lane.
 
     Args:
-        profile: of the driver.
+        car: record of the vehicle.
+        profile: of its driver.
         phase: of the command.
-        limit: a_m [m/s^2].
-        free_road: the free-road term [1].
-        interaction: the largest interaction term toward the leaders in the lanes of its body [1].
-        ahead: the same toward the leaders in its target lane; counts while engaged, and no harder
-            than comfortable while waiting [1].
+        acceleration: toward the leaders in the lanes of its body [m/s^2].
+        ahead: the largest interaction term toward the leaders in its target lane, 0 without one;
+            counts while engaged, and no harder than comfortable while waiting [1].
         is_giving_way: whether it waits beside a vehicle of the target lane and gives way to it.
         is_sum_form: as in ``idm_acceleration``.
     """
-    if phase == _ENGAGED:
-        interaction = max(interaction, ahead)
-    acceleration = idm_acceleration(limit, free_road, interaction, is_sum_form)
+    if phase == _WAITING and is_giving_way:
+        return float(min(acceleration, -profile.comfortable_braking))
+    if ahead == 0.0 or phase not in (_WAITING, _ENGAGED):
+        return float(acceleration)
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    beyond = idm_acceleration(profile.max_acceleration, free_road, ahead, is_sum_form)
     if phase == _WAITING:
-        aligning = idm_acceleration(limit, free_road, ahead, is_sum_form)
-        if is_giving_way:
-            aligning = -profile.comfortable_braking
-        acceleration = min(acceleration, max(aligning, -profile.comfortable_braking))
-    return acceleration
+        beyond = max(beyond, -profile.comfortable_braking)
+    return float(min(acceleration, beyond))
 
 
 @internal
@@ -111,22 +112,23 @@ def car_following(agent: Any, vehicles: Any, profiles: Any, arcs: Any, constants
         ahead = _interaction(car, vehicles[agent.target_leader], headway, scale, s0, constants)
         if car.lane_low <= agent.target_lane <= car.lane_high:
             interaction = max(interaction, ahead)
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    is_sum_form = constants.is_sum_form
     acceleration = drive_commanded(
+        car,
         profile,
         agent.phase,
-        profile.max_acceleration,
-        free_road_term(car.speed, car.desired_speed, profile.exponent),
-        interaction,
+        idm_acceleration(profile.max_acceleration, free_road, interaction, is_sum_form),
         ahead,
         is_beside(car, agent.target_follower, vehicles, constants),
-        constants.is_sum_form,
+        is_sum_form,
     )
-    acceleration = min(acceleration, _comfortable(car, profile, arcs, constants))
-    return float(max(acceleration, -constants.max_braking))
+    acceleration = min(acceleration, comfortable_in_curves(car, profile, arcs, constants))
+    return float(attainable(acceleration, car, constants))
 
 
 @internal
-def _comfortable(car: Any, profile: Any, arcs: Any, constants: Any) -> float:
+def comfortable_in_curves(car: Any, profile: Any, arcs: Any, constants: Any) -> float:
     """What the curves ahead leave to the driver, inf without one [m/s^2]."""
     lateral, braking = profile.comfortable_lateral_acceleration, profile.comfortable_braking
     return curve_acceleration(car, lateral, braking, arcs, constants)
@@ -216,6 +218,27 @@ def _drive_by_agent(
 
 
 @internal
+def yield_to(car: Any, profile: Any, changer: Any, constants: Any) -> float:
+    """Car following of a cooperative driver behind its changer, with the longer headway [m/s^2]."""
+    headway, scale = constants.cooperative_time_headway, profile.braking_scale
+    term = _interaction(car, changer, headway, scale, profile.minimum_gap, constants)
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    return idm_acceleration(profile.max_acceleration, free_road, term, constants.is_sum_form)
+
+
+@internal
+def _lane_ahead(car: Any, profile: Any, lane: Any, vehicles: Any, constants: Any) -> float:
+    """The largest interaction term toward who is ahead in the lane, or on the way to it [1]."""
+    ahead = 0.0
+    headway, scale, s0 = profile.time_headway, profile.braking_scale, profile.minimum_gap
+    for front in (lane.nearest, lane.nearest_engaged):
+        if front > NONE:
+            term = _interaction(car, vehicles[front], headway, scale, s0, constants)
+            ahead = max(ahead, term)
+    return ahead
+
+
+@internal
 def _drive_among(
     car: Any, profile: Any, lanes: Any, vehicles: Any, agents: Any, constants: Any
 ) -> float:
@@ -241,28 +264,23 @@ def _drive_among(
                 car, vehicles[front], headway, scale, profile.minimum_gap, constants
             )
             interaction = max(interaction, term)
-    ahead = 0.0
-    is_giving_way = False
-    phase = _ABSENT if car.agent == NONE else agents[car.agent].phase
-    if phase in (_WAITING, _ENGAGED):
-        target = lanes[agents[car.agent].target_lane]
-        for front in (target.nearest, target.nearest_engaged):
-            if front > NONE:
-                term = _interaction(
-                    car, vehicles[front], headway, scale, profile.minimum_gap, constants
-                )
-                ahead = max(ahead, term)
-        is_giving_way = is_beside(car, agents[car.agent].target_follower, vehicles, constants)
     free_road = free_road_term(car.speed, desired_speed, profile.exponent)
-    acceleration = drive_commanded(
-        profile, phase, limit, free_road, interaction, ahead, is_giving_way, constants.is_sum_form
-    )
-    if has_changer and car.disposition == _COOPERATIVE:
-        headway = constants.cooperative_time_headway
-        term = _interaction(
-            car, vehicles[car.changer], headway, scale, profile.minimum_gap, constants
+    acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
+    if car.agent > NONE:
+        agent = agents[car.agent]
+        ahead = _lane_ahead(car, profile, lanes[agent.target_lane], vehicles, constants)
+        is_giving_way = is_beside(car, agent.target_follower, vehicles, constants)
+        acceleration = drive_commanded(
+            car, profile, agent.phase, acceleration, ahead, is_giving_way, constants.is_sum_form
         )
-        yielding = idm_acceleration(limit, free_road, term, constants.is_sum_form)
+    elif car.moving_over != 0:
+        ahead = _lane_ahead(car, profile, lanes[car.lane], vehicles, constants)
+        beyond = idm_acceleration(limit, free_road, ahead, constants.is_sum_form)
+        acceleration = min(acceleration, beyond)
+        # It leaves the lane to the changer: no need to brake for who is not there yet.
+        has_changer = has_changer and agents[vehicles[car.changer].agent].target_lane == car.lane
+    if has_changer and car.disposition == _COOPERATIVE:
+        yielding = yield_to(car, profile, vehicles[car.changer], constants)
         if not is_body_in:
             yielding = max(yielding, -constants.cooperative_max_braking)
         acceleration = min(acceleration, yielding)
@@ -302,15 +320,23 @@ def accelerate(
         slot = order[rank]
         car = vehicles[slot]
         profile = profiles[car.profile]
-        if car.lane_low == car.lane_high and car.changer == NONE and car.agent == NONE:
-            front = lanes[car.lane_low].nearest
-            acceleration = _drive_alone(car, profile, front, vehicles, constants)
-        else:
-            acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
+        lane = car.lane_low
+        is_alone = lane == car.lane_high and car.changer == NONE and car.agent == NONE
+        if is_alone and car.moving_over == 0:
+            # Most vehicles: nothing else can hold for them.
+            acceleration = drive_alone(car, profile, lanes[lane].nearest, vehicles, constants)
+            if arcs.shape[0] > 0:
+                allowed = comfortable_in_curves(car, profile, arcs, constants)
+                acceleration = min(acceleration, allowed)
+            car.acceleration = max(acceleration, -constants.max_braking)
+            lanes[lane].nearest = slot
+            continue
+        acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
         if arcs.shape[0] > 0:
-            acceleration = min(acceleration, _comfortable(car, profile, arcs, constants))
+            allowed = comfortable_in_curves(car, profile, arcs, constants)
+            acceleration = min(acceleration, allowed)
         if car.agent > NONE and constants.has_longitudinal:
-            agents[car.agent].car_following = max(acceleration, -constants.max_braking)
+            agents[car.agent].car_following = attainable(acceleration, car, constants)
             wanted = actions[car.agent, 1]
             acceleration = _drive_by_agent(
                 car, profile, wanted, lanes, vehicles, agents, arcs, constants
@@ -323,12 +349,13 @@ def accelerate(
                     car, profile, wanted, lanes, vehicles, agents, arcs, constants
                 )
         car.acceleration = max(acceleration, -constants.max_braking)
-        lanes[car.lane_low].nearest = slot
-        if car.lane_high != car.lane_low:
-            # A body is narrower than a lane, but it can lie across the road.
-            for lane in range(car.lane_low + 1, car.lane_high + 1):
-                lanes[lane].nearest = slot
-        if car.agent > NONE and agents[car.agent].phase == _ENGAGED:
-            lanes[agents[car.agent].target_lane].nearest_engaged = slot
+        # A body is narrower than a lane, but it can lie across the road.
+        for lane in range(car.lane_low, car.lane_high + 1):
+            lanes[lane].nearest = slot
+        if car.agent > NONE:
+            if agents[car.agent].phase == _ENGAGED:
+                lanes[agents[car.agent].target_lane].nearest_engaged = slot
+        elif car.moving_over != 0:
+            lanes[car.lane].nearest_engaged = slot
     # Departures take the first free slot: vehicles are in the first slots, with gaps.
     prefetch(every_vehicle, after, road.num_vehicles * size, _SPARE_SLOTS * size)

@@ -184,8 +184,9 @@ def test_two_changers_never_accept_the_same_gap():
     command(simulator, 0, 1, Phase.WAITING)
     command(simulator, 1, -1, Phase.WAITING)
     simulator.step()
-    assert simulator.agents[0]["phase"][:2].tolist() == [Phase.ENGAGED, Phase.WAITING]
-    assert simulator.agents[0, 1]["target_follower"] == 0
+    # The front one comes first, whatever its slot.
+    assert simulator.agents[0]["phase"][:2].tolist() == [Phase.WAITING, Phase.ENGAGED]
+    assert simulator.agents[0, 0]["target_leader"] == 1
 
 
 @pytest.mark.parametrize("name", ["five_lanes", "dense"])

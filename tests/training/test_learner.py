@@ -63,7 +63,7 @@ def test_a_state_from_the_beginning_goes_on_identically(tmp_path, make):
 def test_with_a_criterion_the_best_model_is_the_final_one(tmp_path, make):
     """The untrained and the last one are among them; a run from its beginning does the same."""
     # None but the first and the last is saved.
-    options = ("evaluation.criterion=completion_rate", "evaluation.save_interval=10000")
+    options = ("evaluation.criterion=success_rate", "evaluation.save_interval=10000")
     learner = make(*options)
     learner.begin(tmp_path / "run")
     shutil.copytree(tmp_path / "run", tmp_path / "again")
@@ -79,7 +79,7 @@ def test_with_a_criterion_the_best_model_is_the_final_one(tmp_path, make):
     networks = [read_checkpoint(checkpoints / name).network.state_dict() for name in names]
     for found, wanted in zip(networks, (before, learner.network.state_dict()), strict=True):
         assert all(torch.equal(found[key], value) for key, value in wanted.items())
-    best = max(saved, key=lambda name: float(saved[name]["completion_rate"]))
+    best = max(saved, key=lambda name: float(saved[name]["success_rate"]))
     final = checkpoints / "final.pt"
     assert final.read_bytes() == (checkpoints / best).read_bytes()
     assert read_checkpoint(final).transitions == int(saved[best]["transitions"])

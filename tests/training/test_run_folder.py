@@ -11,13 +11,14 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate
 
 from marl_lanes import LaneChangeEnv, NAFLoss
+from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector
 from marl_lanes.training.config import ConfigError, ReplayConfig
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
-from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, Table
+from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, RunFolder, Table
 from marl_lanes.training.transitions import LivePolicy, live_transitions
 
 torch.set_num_threads(1)
@@ -73,6 +74,11 @@ def test_a_resumed_table_is_cut_off_after_the_state(tmp_path, until, kept):
     table.close()
     assert [row[1] for row in read(path)] == ["name", *kept, "new"]
     assert [entry.name for entry in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_success_leads_what_is_told_of_a_saved_model():
+    assert EVALUATED[:2] == ("success_rate", "completion_rate")
+    assert set(EVALUATED) < set(summarise([]))
 
 
 def test_a_new_run_makes_its_folder(tmp_path):
