@@ -191,23 +191,40 @@ class _Search:
         return found
 
     def refine(self, num_steps: int, actions: FloatArray) -> Optimum:
-        """Linearise around the solution until that gains nothing any more."""
-        best = num_steps
+        """The solution in the simulation near these actions, and near this duration."""
+        best = self.converge(num_steps, actions)
+        while best is None:
+            # The shortest durations may turn out to be too short.
+            if num_steps == self.longest:
+                raise RuntimeError(f"{actions.size} steps: nothing completes in the simulation")
+            num_steps += 1
+            best = self.converge(num_steps, actions)
+        tried = {best.num_steps}
+        while True:
+            near = {best.num_steps - 1, best.num_steps + 1} & set(range(1, self.longest + 1))
+            hopeful = [n for n in sorted(near - tried) if self.cost_of(n) < -best.total_return]
+            beginnings = [(n, self.solved[n][1]) for n in hopeful]
+            for n, beginning in beginnings:
+                tried.add(n)
+                found = self.converge(n, beginning)
+                if found is not None and found.total_return > best.total_return:
+                    best = found
+                    break
+            else:
+                return best
+
+    def converge(self, num_steps: int, actions: FloatArray) -> Optimum | None:
+        """Linearise around the solution until that gains nothing; None where there is none."""
         for _ in range(_MAX_ROUNDS):
             cost, is_completed = self.cost_in_simulation(actions)
-            self.linearise(actions, min(self.longest, best + 2 * _STRIDE))
-            previous = best
-            # The shortest durations may turn out to be too short.
-            while math.isinf(self.cost_of(best)) and best < self.longest:
-                best += 1
-            best = _descend(self.cost_of, best, self.longest)
-            if math.isinf(self.cost_of(best)):
-                break
-            gain = cost - self.cost_of(best)
-            if is_completed and best == previous and gain <= TOLERANCE * cost:
-                return Optimum(total_return=-cost, num_steps=best, yaw_acceleration=actions)
-            actions = self.solved[best][1]
-        raise RuntimeError(f"no convergence in {_MAX_ROUNDS} linearisations around {best} steps")
+            self.linearise(actions, min(self.longest, num_steps + 2 * _STRIDE))
+            if math.isinf(self.cost_of(num_steps)):
+                return None
+            gain = cost - self.cost_of(num_steps)
+            if is_completed and actions.size == num_steps and gain <= TOLERANCE * cost:
+                return Optimum(-cost, num_steps, actions)
+            actions = self.solved[num_steps][1]
+        raise RuntimeError(f"{num_steps} steps: no convergence in {_MAX_ROUNDS} linearisations")
 
     def linearise(self, actions: FloatArray, size: int) -> None:
         """Take the motion of ``size`` steps near the actions, then lane keeping's, as linear."""
