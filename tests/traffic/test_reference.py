@@ -76,7 +76,7 @@ class Case:
 CASES = {
     **{name: Case(name, {"observation": EVERY_FEATURE}, 120) for name in list_scenarios()},
     "mixed": Case("paper", MIXED, 200, seed=1, meets=(Outcome.COMPLETED,)),
-    "settled changes": Case("settled", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
+    "settled changes": Case("paper", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
     "sum": Case("dense", {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "sum"}}, 60),
     "busy": Case("paper", BUSY, 100, meets=(Phase.WAITING, Phase.ENGAGED)),
     "guard": Case(
@@ -90,7 +90,7 @@ CASES = {
         110,
         meets=(Phase.ABORTING, Outcome.COMPLETED, Outcome.MISSED),
     ),
-    "hostile": Case("settled", BUSY | OPEN_GAP, 150, bias=0.4, meets=(Outcome.OFF_ROAD,)),
+    "hostile": Case("paper", BUSY | OPEN_GAP, 150, bias=0.4, meets=(Outcome.OFF_ROAD,)),
     "arcs": Case("paper", BUSY | {"road": {**BUSY["road"], "arcs": ARCS}}, 200, noise=0.3),
     "stepped arcs, every driver": Case(
         "interactive",
