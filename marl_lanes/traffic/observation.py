@@ -167,7 +167,7 @@ def observe(
         elif code == _TIME:
             value = (road.step - agent.born_step) * constants.time_step
         elif code == _CAR_FOLLOWING:
-            value = car_following(agent, vehicles, profiles, constants)
+            value = car_following(agent, vehicles, profiles, arcs, constants)
         elif code == _DISTANCE:
             value = constants.road_length - car.position
         else:
