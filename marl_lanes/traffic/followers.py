@@ -11,9 +11,11 @@ policy's acceleration, within bounds; otherwise neutral.
 import math
 from typing import Any
 
+from marl_lanes.traffic.car_following import follow, follow_plainly
 from marl_lanes.traffic.compiled import internal
+from marl_lanes.traffic.gap_seeking import desired_speed_of, seek_or_hold
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
-from marl_lanes.traffic.neighbors import bumper_gap
+from marl_lanes.traffic.neighbors import bumper_gap, is_body_in
 from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.state import NONE, Disposition, Phase
 
@@ -35,91 +37,47 @@ def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, 
 @internal
 def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or none [m/s^2]."""
-    interaction = 0.0
     if front > NONE:
-        interaction = _interaction(
-            car,
-            vehicles[front],
-            profile.time_headway,
-            profile.braking_scale,
-            profile.minimum_gap,
-            constants,
-        )
+        return follow_plainly(car, vehicles[front], profile, constants)
     free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
-    return idm_acceleration(profile.max_acceleration, free_road, interaction, constants.is_sum_form)
+    return idm_acceleration(profile.max_acceleration, free_road, 0.0, constants.is_sum_form)
 
 
 @internal
-def is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
-    """Whether the target lane's follower, not itself commanded, overlaps the car lengthwise."""
-    if follower == NONE:
-        return False
-    other = vehicles[follower]
-    # Two that wait for each other's lane would both brake.
-    return bool(other.agent == NONE and bumper_gap(other, car, constants) < 0.0)
-
-
-@internal
-def drive_commanded(
-    profile: Any,
-    phase: int,
-    limit: float,
-    free_road: float,
-    interaction: float,
-    ahead: float,
-    is_giving_way: bool,
-    is_sum_form: int,
+def car_following(
+    agent: Any,
+    order: Any,
+    count: int,
+    vehicles: Any,
+    agents: Any,
+    profiles: Any,
+    constants: Any,
 ) -> float:
-    """Car following of a vehicle with a live command, or of one without [m/s^2].
-
-    Args:
-        profile: of the driver.
-        phase: of the command.
-        limit: a_m [m/s^2].
-        free_road: the free-road term [1].
-        interaction: the largest interaction term toward the leaders in the lanes of its body [1].
-        ahead: the same toward the leaders in its target lane; counts while engaged, and no harder
-            than comfortable while waiting [1].
-        is_giving_way: whether it waits beside a vehicle of the target lane and gives way to it.
-        is_sum_form: as in ``idm_acceleration``.
-    """
-    if phase == _ENGAGED:
-        interaction = max(interaction, ahead)
-    acceleration = idm_acceleration(limit, free_road, interaction, is_sum_form)
-    if phase == _WAITING:
-        aligning = idm_acceleration(limit, free_road, ahead, is_sum_form)
-        if is_giving_way:
-            aligning = -profile.comfortable_braking
-        acceleration = min(acceleration, max(aligning, -profile.comfortable_braking))
-    return acceleration
-
-
-@internal
-def car_following(agent: Any, vehicles: Any, profiles: Any, constants: Any) -> float:
     """What car following would do with the agent's vehicle in the present state [m/s^2].
 
     Its leaders are the agent's neighbors; the disposition of its driver does not enter.
     """
     car = vehicles[agent.vehicle]
     profile = profiles[car.profile]
-    headway, scale, s0 = profile.time_headway, profile.braking_scale, profile.minimum_gap
-    interaction, ahead = 0.0, 0.0
-    if agent.leader > NONE and car.lane_low <= agent.origin_lane <= car.lane_high:
-        interaction = _interaction(car, vehicles[agent.leader], headway, scale, s0, constants)
-    if agent.target_leader > NONE:
-        ahead = _interaction(car, vehicles[agent.target_leader], headway, scale, s0, constants)
-        if car.lane_low <= agent.target_lane <= car.lane_high:
-            interaction = max(interaction, ahead)
-    acceleration = drive_commanded(
-        profile,
-        agent.phase,
-        profile.max_acceleration,
-        free_road_term(car.speed, car.desired_speed, profile.exponent),
-        interaction,
-        ahead,
-        is_beside(car, agent.target_follower, vehicles, constants),
-        constants.is_sum_form,
+    limit, headway, scale = profile.max_acceleration, profile.time_headway, profile.braking_scale
+    rank = 0
+    while order[rank] != agent.vehicle:
+        rank += 1
+    seeking, holding = seek_or_hold(
+        rank, car, agent, order, count, vehicles, agents, profiles, constants
     )
+    desired_speed = desired_speed_of(car, agent, seeking, constants)
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    acceleration = min(idm_acceleration(limit, free_road, 0.0, constants.is_sum_form), seeking)
+    if agent.leader > NONE and is_body_in(car, agent.origin_lane):
+        front = vehicles[agent.leader]
+        toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
+        acceleration = min(acceleration, toward)
+    is_changing = agent.phase == _ENGAGED or is_body_in(car, agent.target_lane)
+    if agent.target_leader > NONE and is_changing:
+        front = vehicles[agent.target_leader]
+        toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
+        acceleration = min(acceleration, max(toward, holding))
     return float(max(acceleration, -constants.max_braking))
 
 
@@ -180,53 +138,62 @@ def _drive_by_agent(
 
 @internal
 def _drive_among(
-    car: Any, profile: Any, lanes: Any, vehicles: Any, agents: Any, constants: Any
+    rank: int,
+    car: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    count: int,
+    agents: Any,
+    profiles: Any,
+    constants: Any,
 ) -> float:
     """The smallest acceleration toward the leaders in several lanes, by disposition [m/s^2]."""
+    profile = profiles[car.profile]
     headway, scale = profile.time_headway, profile.braking_scale
     limit, desired_speed = profile.max_acceleration, car.desired_speed
     has_changer = car.changer > NONE
-    is_body_in = False
+    has_entered = False
     if has_changer:
         changer = vehicles[car.changer]
-        lane = agents[changer.agent].target_lane
-        is_body_in = changer.lane_low <= lane <= changer.lane_high
-    if has_changer and not is_body_in and car.disposition == _ADVERSARIAL:
+        has_entered = is_body_in(changer, agents[changer.agent].target_lane)
+    phase = _ABSENT
+    seeking, holding = math.inf, -math.inf
+    if car.agent > NONE:
+        agent = agents[car.agent]
+        phase = agent.phase
+        seeking, holding = seek_or_hold(
+            rank, car, agent, order, count, vehicles, agents, profiles, constants
+        )
+        desired_speed = desired_speed_of(car, agent, seeking, constants)
+    if has_changer and not has_entered and car.disposition == _ADVERSARIAL:
         headway, scale = constants.adversarial_time_headway, profile.adversarial_braking_scale
         limit = constants.adversarial_max_acceleration
         desired_speed = desired_speed * constants.adversarial_speed_factor
 
-    interaction = 0.0
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    acceleration = min(idm_acceleration(limit, free_road, 0.0, constants.is_sum_form), seeking)
     for lane in range(car.lane_low, car.lane_high + 1):
         front = lanes[lane].nearest
         if front > NONE:
-            term = _interaction(
-                car, vehicles[front], headway, scale, profile.minimum_gap, constants
+            toward = follow(
+                car, vehicles[front], free_road, limit, headway, scale, profile, constants
             )
-            interaction = max(interaction, term)
-    ahead = 0.0
-    is_giving_way = False
-    phase = _ABSENT if car.agent == NONE else agents[car.agent].phase
-    if phase in (_WAITING, _ENGAGED):
-        target = lanes[agents[car.agent].target_lane]
-        for front in (target.nearest, target.nearest_engaged):
+            acceleration = min(acceleration, toward)
+    if phase == _ENGAGED:
+        lane = agents[car.agent].target_lane
+        for front in (lanes[lane].nearest, lanes[lane].nearest_engaged):
             if front > NONE:
-                term = _interaction(
-                    car, vehicles[front], headway, scale, profile.minimum_gap, constants
+                toward = follow(
+                    car, vehicles[front], free_road, limit, headway, scale, profile, constants
                 )
-                ahead = max(ahead, term)
-        is_giving_way = is_beside(car, agents[car.agent].target_follower, vehicles, constants)
-    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
-    acceleration = drive_commanded(
-        profile, phase, limit, free_road, interaction, ahead, is_giving_way, constants.is_sum_form
-    )
+                acceleration = min(acceleration, max(toward, holding))
     if has_changer and car.disposition == _COOPERATIVE:
         headway = constants.cooperative_time_headway
-        term = _interaction(
-            car, vehicles[car.changer], headway, scale, profile.minimum_gap, constants
+        yielding = follow(
+            car, vehicles[car.changer], free_road, limit, headway, scale, profile, constants
         )
-        yielding = idm_acceleration(limit, free_road, term, constants.is_sum_form)
-        if not is_body_in:
+        if not has_entered:
             yielding = max(yielding, -constants.cooperative_max_braking)
         acceleration = min(acceleration, yielding)
     return acceleration
@@ -268,7 +235,9 @@ def accelerate(
             front = lanes[car.lane_low].nearest
             acceleration = _drive_alone(car, profile, front, vehicles, constants)
         else:
-            acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
+            acceleration = _drive_among(
+                rank, car, lanes, vehicles, order, road.num_vehicles, agents, profiles, constants
+            )
         if car.agent > NONE and constants.has_longitudinal:
             agents[car.agent].car_following = max(acceleration, -constants.max_braking)
             wanted = actions[car.agent, 1]

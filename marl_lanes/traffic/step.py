@@ -137,7 +137,8 @@ def judge(
         if outcome == _UNFINISHED:
             continue
         find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
-        observe(agent, vehicles, road, arcs, features, constants, profiles, observations[index])
+        seen = observations[index]
+        observe(agent, road, vehicles, order, agents, arcs, features, constants, profiles, seen)
         if outcome == _COMPLETED:
             car.lane = agent.target_lane
         end_command(agent, car, road, outcome)
@@ -168,8 +169,10 @@ def renew(
         unseen -= 1
         car = vehicles[agent.vehicle]
         find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
-        change_phase(agent, vehicles, car.yaw_rate - road_turn_rate(car, arcs), constants)
-        observe(agent, vehicles, road, arcs, features, constants, profiles, observations[index])
+        turning = car.yaw_rate - road_turn_rate(car, arcs)
+        change_phase(agent, vehicles, turning, profiles, constants)
+        seen = observations[index]
+        observe(agent, road, vehicles, order, agents, arcs, features, constants, profiles, seen)
         follower = agent.target_follower
         if agent.phase == _ENGAGED and follower > NONE:
             nearest = vehicles[follower].changer

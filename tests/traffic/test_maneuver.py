@@ -157,69 +157,6 @@ def test_who_never_finds_a_gap_has_missed_at_the_roads_end():
     assert outcomes == [Outcome.MISSED] * 4
 
 
-@pytest.mark.parametrize(("gap", "phase"), [(11.0, Phase.WAITING), (12.0, Phase.ENGAGED)])
-@pytest.mark.parametrize("place", ["leader", "follower"])
-def test_the_selector_accepts_from_the_required_gap_on(gap, phase, place):
-    """At 20 m/s the required gap is 2 + 0.4 * 20 = 10 m, with 4 m/s of closing 2 m more."""
-    simulator = simulator_of()
-    # The free-road accelerations of the first step leave both speeds and the gap nearly alone.
-    speeds = {"leader": (20.0, 16.0), "follower": (16.0, 20.0)}[place]
-    offset = 4.8 + gap + 0.5
-    other = {"lane": 2, "position": 200.0 + (offset if place == "leader" else -offset)}
-    slow = {"desired_speed": 1e6}
-    stage(
-        simulator,
-        {"lane": 1, "position": 200.0, "speed": speeds[0], **slow},
-        {**other, "speed": speeds[1], **slow},
-    )
-    agent = command(simulator, 0, 1, Phase.WAITING)
-    simulator.step()
-    assert simulator.agents[0, agent]["phase"] == phase
-
-
-def test_two_changers_never_accept_the_same_gap():
-    """Both abreast in lanes 1 and 3 of five, both toward the empty lane 2: one has to wait."""
-    simulator = simulator_of(road={"num_lanes": 5})
-    stage(simulator, {"lane": 1, "position": 200.0}, {"lane": 3, "position": 203.0})
-    command(simulator, 0, 1, Phase.WAITING)
-    command(simulator, 1, -1, Phase.WAITING)
-    simulator.step()
-    assert simulator.agents[0]["phase"][:2].tolist() == [Phase.ENGAGED, Phase.WAITING]
-    assert simulator.agents[0, 1]["target_follower"] == 0
-
-
-@pytest.mark.parametrize("name", ["five_lanes", "dense"])
-def test_at_acceptance_the_gap_to_every_engaged_changer_is_wide_enough(name):
-    overrides = {
-        **ALWAYS,
-        "departures": {"interval": [1.0, 3.0]},
-        "num_agents": None,
-        "num_slots": 24,
-        "max_vehicles": 192,
-    }
-    simulator = Simulator(name, 24, seed=9, overrides=overrides)
-    simulator.reset()
-    pairs = 0
-    was_engaged = simulator.agents["phase"] == Phase.ENGAGED
-    for _ in range(250):
-        simulator.step(damped_actions(simulator))
-        is_engaged = simulator.agents["phase"] == Phase.ENGAGED
-        for env, slot in np.argwhere(is_engaged & ~was_engaged):
-            agents = simulator.agents[env]
-            here = simulator.vehicles[env, agents[slot]["vehicle"]]
-            for other in np.flatnonzero(is_engaged[env]):
-                if other == slot or agents[other]["target_lane"] != agents[slot]["target_lane"]:
-                    continue
-                there = simulator.vehicles[env, agents[other]["vehicle"]]
-                rear, front = sorted((here, there), key=lambda car: car["position"])
-                closing = max(0.0, rear["speed"] - front["speed"])
-                needed = 2.0 + 0.4 * rear["speed"] + closing**2 / 8.0
-                assert front["position"] - rear["position"] - 4.8 >= needed
-                pairs += 1
-        was_engaged = is_engaged
-    assert pairs > 50
-
-
 def test_a_violated_gap_aborts_before_the_marking_and_the_agent_waits_again():
     simulator = simulator_of(departures={"interval": [900.0, 900.0]})
     stage(
