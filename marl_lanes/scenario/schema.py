@@ -198,9 +198,16 @@ class Gap(Section):
         le=2.0,
         description="how far above its desired speed a driver may go for a gap [1], 1 to 2",
     )
-    minimum_gap: NonNegative = Field(2.0, description="d_min [m], >= 0")
-    time_gap: NonNegative = Field(0.4, description="tau [s], >= 0")
-    max_braking: Positive = Field(4.0, description="b_max of the vehicle behind [m/s^2], > 0")
+    minimum_gap: NonNegative = Field(
+        2.0, description="d_min of both rules and of the guard [m], >= 0"
+    )
+    time_gap: NonNegative = Field(
+        0.4, description="tau of rule kinematic and of the guard [s], >= 0"
+    )
+    max_braking: Positive = Field(
+        4.0,
+        description="b_max of the vehicle behind, of rule kinematic and of the guard [m/s^2], > 0",
+    )
 
     @model_validator(mode="after")
     def _check_margin(self) -> Self:
