@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.nn.functional import mse_loss, softplus
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
-from marl_lanes.naf.mu import A_MAX_FLOOR, PaperMu
+from marl_lanes.naf.lateral import A_MAX_FLOOR, PaperMu
 from marl_lanes.naf.network import LOG_DIAGONAL_BOUND
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.config import (
@@ -34,7 +34,7 @@ from marl_lanes.training.config import (
     ReplayConfig,
 )
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.replay import make_replay
+from marl_lanes.training.replay import Replay
 
 TARGETS = {64: 1.3, 1024: 1.1}
 """Time of an update over that of the bare one, both eager: at most this."""
@@ -161,7 +161,11 @@ def make_learner(
     config = LearnerConfig(
         CollectorConfig(num_envs=1, steps_per_batch=1, total_transitions=1),
         ReplayConfig(
-            capacity=CAPACITY, storage="memory", batch_size=batch_size, warmup_transitions=0
+            capacity=CAPACITY,
+            storage="memory",
+            batch_size=batch_size,
+            rare_share=0.0,
+            warmup_transitions=0,
         ),
         LossConfig(gamma=GAMMA, target_update="soft", tau=TAU, target_interval=1),
         OptimizerConfig(
@@ -182,7 +186,7 @@ def make_learner(
     )
     learner = Learner(config, LaneChangeEnv("paper"), network)
     # A training makes it when it begins, in its run folder; one in memory needs none.
-    learner.replay = make_replay(config.replay, Path("unused"), 0)
+    learner.replay = Replay(config.replay, Path("unused"), 0)
     is_end = replay["terminated"]
     ends = {"done": is_end, "terminated": is_end, "truncated": torch.zeros_like(is_end)}
     following = {"observation": replay["next_observation"], "reward": replay["reward"], **ends}

@@ -31,7 +31,7 @@ from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector, MakeCollector, TrafficCollector
 from marl_lanes.training.config import TrainingConfig, register
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.replay import make_replay
+from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state
 from marl_lanes.training.transitions import live_transitions
 from marl_lanes.training.workers import ProcessCollector, RayTrafficCollector, Workers
@@ -181,7 +181,7 @@ def measure_replay(learner: Learner, capacity: int, folder: Path) -> dict[str, F
 
     for storage in ("memory", "memmap"):
         settings.storage, settings.capacity = storage, capacity
-        learner.replay = make_replay(settings, folder / storage, size)
+        learner.replay = Replay(settings, folder / storage, size)
 
         def fill() -> None:
             for _ in range(-(-capacity // len(rows))):

@@ -13,7 +13,7 @@ import yaml
 
 from marl_lanes.scenario import Scenario, list_scenarios, load_scenario
 
-_UNTRAINED = ("damped-prior", "lane-keeping", "random")
+_UNTRAINED = ("tuned-cascade", "cascade-prior", "damped-prior", "lane-keeping", "random")
 _SCRIPTED = ("cooperative", "neutral", "adversarial")
 
 
@@ -44,8 +44,10 @@ def _make_parser() -> argparse.ArgumentParser:
     evaluate = commands.add_parser(
         "evaluate",
         help="drive a policy on seeded traffic and measure it against the optimum",
-        description="Drive a policy on seeded traffic and print its metrics, which docs/metrics.md "
-        "defines.",
+        description="Drive a policy on seeded traffic, watch every vehicle for 10 s after its "
+        "change, and print the metrics that docs/metrics.md defines: first the success rate, the "
+        "share of maneuvers that complete and are neither lost, in a collision nor out of their "
+        "lane in that time.",
     )
     _add_policy(evaluate, is_required=True)
     _add_traffic(evaluate, num_maneuvers=1000)
@@ -94,7 +96,7 @@ def _make_parser() -> argparse.ArgumentParser:
 def _add_policy(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
     policy = parser.add_mutually_exclusive_group(required=is_required)
     policy.add_argument("checkpoint", nargs="?", help="a checkpoint of agents/naf/train.py")
-    note = "" if is_required else " (default: damped-prior)"
+    note = "" if is_required else " (default: tuned-cascade)"
     policy.add_argument(
         "--policy", choices=_UNTRAINED, help="a policy without learning instead" + note
     )
@@ -146,6 +148,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     # Imported here: `marl-lanes scenarios` and errors in the arguments need none of it.
     from marl_lanes.evaluation.metrics import evaluate
     from marl_lanes.evaluation.rollout import run_maneuvers
+    from marl_lanes.evaluation.tables import format_summary
     from marl_lanes.training.files import write_json
 
     _prepare(options)
@@ -164,8 +167,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     summary = evaluate(maneuvers, scenario, progress=lambda count: show(number + count))
     show.close()
     result = {"scenario": scenario.name, "policy": name, "seed": options.seed, **summary}
-    for key, value in result.items():
-        print(f"{key:36} {value:.5g}" if isinstance(value, float) else f"{key:36} {value}")
+    print(format_summary(result))
     if options.json is not None:
         write_json(options.json, result)
 
@@ -204,7 +206,7 @@ def _compare_followers(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.figures import draw_gaps
 
     scenario = load_scenario(options.scenario)
-    name = options.policy or options.checkpoint or "damped-prior"
+    name = options.policy or options.checkpoint or "tuned-cascade"
     policy = _make_policy(name, scenario, options.seed)
     followers = _label_followers(options.followers)
     show = _Progress("driving", len(followers) * options.maneuvers)
@@ -257,15 +259,18 @@ def _make_policy(name: str, scenario: Scenario, seed: int) -> Any:
         return policies.make_random_policy(scenario, seed)
     if name == "lane-keeping":
         return policies.make_lane_keeping_policy(scenario)
+    if name == "tuned-cascade":
+        return policies.make_tuned_cascade_policy(scenario)
 
     import torch
 
     from marl_lanes.naf.checkpoint import greedy_policy
     from marl_lanes.training.checkpoint import load_checkpoint, make_network
 
-    if name == "damped-prior":
+    if name in _UNTRAINED:
         torch.manual_seed(0)
-        mu = "damped" if scenario.action.longitudinal is None else "damped+idm"
+        lateral = name.removesuffix("-prior")
+        mu = lateral if scenario.action.longitudinal is None else f"{lateral}+idm"
         return greedy_policy(make_network(scenario, mu))
     return greedy_policy(load_checkpoint(Path(name), scenario).network)
 

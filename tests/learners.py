@@ -56,7 +56,7 @@ def followers(*options, seed=0, **places):
         make_follower_network(env.scenario, [8]),
         group="followers",
         others=[LivePolicy(driver.policy().module, 1)],
-        evaluated=("completion_rate", "nothing"),
+        evaluated=("success_rate", "nothing"),
         **places,
     )
 

@@ -37,6 +37,7 @@ class Car:
     lane: int
     profile: str
     disposition: int
+    moving_over: int = 0
     agent: "Agent | None" = None
     changer: "Car | None" = None
     is_off_road: bool = False
@@ -115,6 +116,7 @@ class Road:
                 slot=slot,
                 **{name: float(row[name]) for name in floats},
                 lane=int(row["lane"]),
+                moving_over=int(row["moving_over"]),
                 profile=names[row["profile"]],
                 disposition=int(row["disposition"]),
             )
@@ -142,6 +144,9 @@ class Road:
 
     def step(self, actions, follower_actions):
         """One time step; for each agent slot its action, and the acceleration of its follower."""
+        if self.scenario.followers.cooperative.moves_over:
+            for car in self.cars:
+                self.move_over(car)
         # From the front to the rear: the ACC model looks at the leader's new acceleration.
         for car in self.cars:
             car.acceleration = self.drive(car, actions, follower_actions)
@@ -151,14 +156,14 @@ class Road:
         self.counts["num_ended"] = 0
         self.cars.sort(key=lambda car: -car.position)
         self.collide()
-        for slot in sorted(self.agents):
-            self.judge(self.agents[slot])
+        for agent in self.agents.values():
+            self.judge(agent)
+        for agent in self.agents.values():
+            self.end(agent)
         self.remove()
         self.depart()
         self.give_commands()
-        for slot in sorted(self.agents):
-            if self.agents[slot].outcome == Outcome.UNFINISHED:
-                self.renew(self.agents[slot])
+        self.renew()
         if self.external_names:
             self.pair()
         self.finish()
@@ -204,9 +209,8 @@ class Road:
     # Who is where
 
     def is_in(self, car, lane):
-        """By its body, or engaged toward it."""
-        engaged = car.agent is not None and car.agent.phase == Phase.ENGAGED
-        return lane in self.lanes_of(car) or (engaged and car.agent.target == lane)
+        """By its body, or on the way to it."""
+        return lane in self.lanes_of(car) or self.is_bound_for(car, lane)
 
     def ahead(self, car, is_candidate):
         """The nearest car ahead of ``car`` that is a candidate, or None."""
@@ -280,11 +284,17 @@ class Road:
             leaders.append(self.ahead(car, lambda other, lane=lane: lane in self.lanes_of(other)))
         wanted = min(self.follow(car, front, profile, **style) for front in leaders)
         wanted = min(wanted, self.seek(car))
-        if car.agent is not None and car.agent.phase == Phase.ENGAGED:
-            for front in self.leaders_beyond(car):
-                toward = self.follow(car, front, profile, **style)
-                wanted = min(wanted, max(toward, self.hold(car)) if front else math.inf)
-        if car.changer is not None and car.disposition == Disposition.COOPERATIVE:
+        # Toward its own target lane a driver is what its profile says, hostile or not.
+        beyond = [front for front in self.leaders_beyond(car) if front is not None]
+        toward = [self.follow(car, front, profile, **plain) for front in beyond]
+        if car.agent is not None and car.agent.phase == Phase.ENGAGED and toward:
+            wanted = min(wanted, max(min(toward), self.hold(car)))
+        if car.moving_over:
+            wanted = min(wanted, *toward, math.inf)
+        is_left = car.moving_over and car.changer and car.changer.agent.target != car.lane
+        plain["v0"] = car.desired_speed
+        is_cooperative = car.disposition == Disposition.COOPERATIVE
+        if car.changer is not None and is_cooperative and not is_left:
             gentle = self.scenario.followers.cooperative
             plain["headway"] = gentle.time_headway
             yielding = self.follow(car, car.changer, profile, **plain)
@@ -297,7 +307,7 @@ class Road:
         external = self.scenario.followers.external
         wanted = following
         if car.agent is not None and second is not None:
-            car.agent.car_following = following
+            car.agent.car_following = self.no_reversing(car, following)
             wanted = self.within(car, actions[car.agent.slot][1], second)
             wanted = min(wanted, self.guard(car, second.max_acceleration))
         for slot, follower in self.followers.items():
@@ -344,7 +354,12 @@ class Road:
         if front is not None and is_changing:
             toward = self.follow(car, front, profile, **style)
             wanted = min(wanted, max(toward, self.hold(car)))
-        return max(wanted, -self.scenario.vehicle.max_braking)
+        return self.no_reversing(car, max(wanted, -self.scenario.vehicle.max_braking))
+
+    def no_reversing(self, car, acceleration):
+        """Who would drive backwards after the step stops instead."""
+        after = max(0.0, car.speed + acceleration * self.scenario.time_step)
+        return (after - car.speed) / self.scenario.time_step
 
     # The gap that a waiting driver seeks
 
@@ -469,18 +484,69 @@ class Road:
         return 1.0
 
     def leaders_beyond(self, car):
-        """Ahead of a commanded car, in or engaged toward its target lane; None among them."""
-        if car.agent is None:
+        """Ahead of a car on its way, in or bound for its target lane; None among them."""
+        if car.agent is None and not car.moving_over:
             return [None]
-        target = car.agent.target
+        target = car.lane if car.agent is None else car.agent.target
         in_lane = self.ahead(car, lambda other: target in self.lanes_of(other))
-        changing = self.ahead(car, lambda other: self.is_engaged_toward(other, target))
+        changing = self.ahead(car, lambda other: self.is_bound_for(other, target))
         return [None, in_lane, changing]
 
     @staticmethod
-    def is_engaged_toward(car, lane):
-        agent = car.agent
-        return agent is not None and agent.phase == Phase.ENGAGED and agent.target == lane
+    def is_bound_for(car, lane):
+        """Engaged toward the lane, or moving over to it."""
+        if car.agent is None:
+            return bool(car.moving_over) and car.lane == lane
+        return car.agent.phase == Phase.ENGAGED and car.agent.target == lane
+
+    # Yielding by moving over
+
+    def move_over(self, car):
+        """End or take back the car's move, or begin one."""
+        if car.moving_over:
+            if self.has_settled(car):
+                car.moving_over = 0
+            elif car.lane not in self.lanes_of(car) and not self.has_room_in(car, car.lane, 0.0):
+                car.lane, car.moving_over = car.lane - car.moving_over, 0
+                self.counts["num_moves_returned"] += 1
+            return
+        is_cooperative = car.disposition == Disposition.COOPERATIVE
+        if car.changer is None or car.agent is not None or not is_cooperative or car.speed < 5.0:
+            return
+        asking = car.changer.agent
+        beyond = car.lane + asking.direction
+        is_wanted = asking.target == car.lane and car.lane not in self.lanes_of(car.changer)
+        if not is_wanted or not 0 <= beyond < self.scenario.road.num_lanes:
+            return
+        profile = self.scenario.drivers.profiles[car.profile]
+        style = {"v0": car.desired_speed, "a_m": profile.max_acceleration}
+        style |= {"headway": profile.time_headway, "scale_a_m": profile.max_acceleration}
+        gentle = self.scenario.followers.cooperative
+        patient = style | {"headway": gentle.time_headway}
+        braking = self.follow(car, car.changer, profile, **patient)
+        freely = self.follow(
+            car, self.ahead(car, lambda x: self.is_in(x, beyond)), profile, **style
+        )
+        is_worth_it = braking < 0.0 and freely > max(braking, -gentle.max_braking)
+        if (
+            is_worth_it
+            and self.has_settled(car)
+            and self.has_room_in(car, beyond, self.scenario.gap.braking_margin)
+        ):
+            car.lane, car.moving_over = beyond, asking.direction
+            self.counts["num_moves_over"] += 1
+
+    def has_room_in(self, car, lane, margin):
+        ahead, behind = (
+            find(car, lambda x: self.is_in(x, lane)) for find in (self.ahead, self.behind)
+        )
+        braking = self.scenario.gap.safe_braking - margin
+        return self.is_gap_safe(car, ahead, braking) and self.is_gap_safe(behind, car, braking)
+
+    def has_settled(self, car):
+        """In the lane that it keeps, by the completion criterion."""
+        is_inside = list(self.lanes_of(car)) == [car.lane]
+        return is_inside and self.is_at(car, self.centre(car.lane) - car.lateral_position)
 
     # Motion
 
@@ -493,20 +559,24 @@ class Road:
             car.yaw_acceleration = car.agent.direction * action
         else:
             pole, bound = scenario.lane_keeping.pole, scenario.lane_keeping.max_yaw_acceleration
+            sideways = min(1.0, 0.15 * max(car.speed, KEEPING_MIN_SPEED))
             error = self.centre(car.lane) - car.lateral_position
+            error = math.copysign(min(abs(error), 3 * sideways / pole), error)
             steering = pole**3 * error / max(car.speed, KEEPING_MIN_SPEED)
             steering -= 3 * pole**2 * car.yaw + 3 * pole * (car.yaw_rate - turn_rate)
             car.yaw_acceleration = min(max(steering, -bound), bound)
-        step = scenario.time_step
+        step, before = scenario.time_step, (car.speed, car.yaw_rate)
         car.speed = max(0.0, car.speed + car.acceleration * step)
         fastest = car.speed / scenario.vehicle.min_turning_radius
         car.yaw_rate = min(max(car.yaw_rate + car.yaw_acceleration * step, -fastest), fastest)
+        # What was applied, whatever was asked for.
+        car.acceleration = (car.speed - before[0]) / step
+        car.yaw_acceleration = (car.yaw_rate - before[1]) / step
         car.yaw += (car.yaw_rate - turn_rate) * step
         c = self.curvature(car.position)
         along = car.speed * math.cos(car.yaw) / (1.0 - c * car.lateral_position)
         car.position += along * step
         car.lateral_position += car.speed * math.sin(car.yaw) * step
-        car.changer = None
         across = [corner[1] for corner in self.corners(car)]
         width = scenario.road.num_lanes * scenario.road.lane_width
         is_turned = abs(car.yaw) >= math.pi / 2
@@ -555,9 +625,13 @@ class Road:
         return agent.direction * (self.centre(reference) - agent.car.lateral_position)
 
     def has_arrived(self, agent):
-        rule, car = self.scenario.completion, agent.car
+        return self.is_at(agent.car, self.deviation(agent))
+
+    def is_at(self, car, deviation):
+        """The completion criterion at a distance to a lane's centre."""
+        rule = self.scenario.completion
         measured = (
-            (self.deviation(agent), rule.max_deviation),
+            (deviation, rule.max_deviation),
             (car.speed * math.sin(car.yaw), rule.max_lateral_speed),
             (car.yaw_rate - self.turn_rate(car), rule.max_yaw_rate),
         )
@@ -601,9 +675,13 @@ class Road:
             return
         self.look(agent)
         agent.outcome = outcome
-        if outcome == Outcome.COMPLETED:
-            car.lane = agent.target
-        car.agent = None
+
+    def end(self, agent):
+        if agent.outcome == Outcome.UNFINISHED:
+            return
+        if agent.outcome == Outcome.COMPLETED:
+            agent.car.lane = agent.target
+        agent.car.agent = None
         self.counts["num_live"] -= 1
         self.counts["num_ended"] += 1
 
@@ -656,7 +734,7 @@ class Road:
         middle = range(1, scenario.road.num_lanes - 1)
         lanes = middle if scenario.command.lanes is None else scenario.command.lanes
         for car in self.cars:
-            if car.position < car.command_position:
+            if car.position < car.command_position or car.moving_over:
                 continue
             is_over = self.is_late or counts["num_commands"] == scenario.num_agents
             if counts["step"] < 0 or is_over or car.lane not in lanes:
@@ -700,9 +778,23 @@ class Road:
             around["target_follower"], agent.car, braking
         )
 
-    def renew(self, agent):
-        """Neighbors, then the phase, then what the agent sees, then whose follower is whose."""
-        self.find_neighbors(agent)
+    def renew(self):
+        """The phases from the front of the road on; then what all see and whose follower is whose.
+
+        Nothing that is seen or paired depends on who stands in which slot.
+        """
+        live = [car.agent for car in self.cars if car.agent is not None]
+        for agent in live:
+            self.find_neighbors(agent)
+            self.change_phase(agent)
+        for agent in live:
+            self.look(agent)
+        engaged = [agent for agent in live if agent.phase == Phase.ENGAGED]
+        for car in self.cars:
+            claims = [one.car for one in engaged if one.neighbors["target_follower"] is car]
+            car.changer = min(claims, key=lambda other: other.position, default=None)
+
+    def change_phase(self, agent):
         if agent.phase == Phase.WAITING:
             agent.phase = Phase.ENGAGED if self.is_accepted(agent) else Phase.WAITING
         elif agent.phase == Phase.ENGAGED:
@@ -712,12 +804,6 @@ class Road:
                 agent.num_aborts += 1
         elif self.has_arrived(agent):
             agent.phase = Phase.WAITING
-        self.look(agent, has_neighbors=True)
-        follower = agent.neighbors["target_follower"]
-        if agent.phase == Phase.ENGAGED and follower is not None:
-            other = follower.changer
-            if other is None or agent.car.position < other.position:
-                follower.changer = agent.car
 
     def pair(self):
         """Pay who was paired in this step; then who is behind whom, and what he sees."""
@@ -778,10 +864,9 @@ class Road:
             agent.neighbors[f"{prefix}leader"] = self.ahead(agent.car, is_there)
             agent.neighbors[f"{prefix}follower"] = self.behind(agent.car, is_there)
 
-    def look(self, agent, *, has_neighbors=False):
-        """Every feature by name."""
-        if not has_neighbors:
-            self.find_neighbors(agent)
+    def look(self, agent):
+        """The neighbors, and every feature by name."""
+        self.find_neighbors(agent)
         car, sign = agent.car, agent.direction
         seen = agent.observation
         seen["speed"], seen["acceleration"] = car.speed, car.acceleration

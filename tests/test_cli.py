@@ -39,14 +39,14 @@ def test_a_printed_scenario_is_the_scenario(capsys, tmp_path, name):
 
 def test_an_evaluation_is_printed_and_written(capsys, tmp_path):
     file = tmp_path / "deep" / "result.json"
-    assert main([*EVALUATE, "--seed", "5", "--scenario", "settled", "--json", str(file)]) == 0
+    assert main([*EVALUATE, "--seed", "5", "--scenario", "touch", "--json", str(file)]) == 0
     captured = capsys.readouterr()
     result = json.loads(file.read_text(encoding="utf-8"))
     assert captured.err == ""
     printed = dict(line.split(maxsplit=1) for line in captured.out.splitlines())
     assert set(printed) == set(result)
     assert list(result)[:3] == ["scenario", "policy", "seed"]
-    assert [result[key] for key in list(result)[:4]] == ["settled", "damped-prior", 5, 4]
+    assert [result[key] for key in list(result)[:4]] == ["touch", "damped-prior", 5, 4]
     for key, value in result.items():
         if isinstance(value, float):
             assert float(printed[key]) == pytest.approx(value, rel=1e-4)

@@ -96,9 +96,8 @@ def test_the_pages_are_found_and_linked_from_their_index():
 def test_every_example_runs(page, tmp_path):
     """The page's blocks in order, each with its own names, in one process in an empty folder."""
     # What the page on training reads: a checkpoint of a trained policy.
-    path = tmp_path / "runs" / "settled" / "checkpoints" / "final.pt"
-    save_checkpoint(path, make_network(load_scenario("settled"), "damped"), "settled", 0)
-    (tmp_path / "runs" / "paper").symlink_to(tmp_path / "runs" / "settled")
+    path = tmp_path / "runs" / "paper" / "checkpoints" / "final.pt"
+    save_checkpoint(path, make_network(load_scenario("paper"), "cascade"), "paper", 0)
     blocks = BLOCK.findall(text_of(page))
     for index, block in enumerate(blocks):
         (tmp_path / f"block_{index}.py").write_text(block, encoding="utf-8")
@@ -135,11 +134,19 @@ def test_every_metric_is_documented():
 
 def lane_change():
     """Metrics of one maneuver, of which only the names matter."""
-    from marl_lanes.evaluation.metrics import ManeuverMetrics
+    from marl_lanes.evaluation.measures import AftermathMetrics, ManeuverMetrics
+    from marl_lanes.evaluation.safety import SafetyMetrics
     from marl_lanes.traffic.state import Outcome
 
-    values = {field.name: 0.0 for field in dataclasses.fields(ManeuverMetrics)}
-    return ManeuverMetrics(**(values | {"outcome": Outcome.COMPLETED}))
+    def zeros(kind):
+        return {field.name: 0.0 for field in dataclasses.fields(kind)}
+
+    safety, after = (
+        SafetyMetrics(**zeros(SafetyMetrics)),
+        AftermathMetrics(**zeros(AftermathMetrics)),
+    )
+    parts = {"outcome": Outcome.COMPLETED, "safety": safety, "after": after}
+    return ManeuverMetrics(**(zeros(ManeuverMetrics) | parts))
 
 
 def test_every_scenario_field_is_documented():

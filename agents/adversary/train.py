@@ -61,11 +61,15 @@ MODEL = f"checkpoints/{FINAL_MODEL}"
 """The trained policy in the folder of a phase."""
 OBJECTIVES = ("adversarial", "cooperative")
 EVALUATED = (
+    "success_rate",
     "completion_rate",
     "mean_episode_reward",
     "abort_rate",
     "missed_rate",
     "collision_rate",
+    "lost_after_rate",
+    "collided_after_rate",
+    "left_lane_after_rate",
     "mean_max_follower_braking_all",
 )
 """The changer's metrics in the table of the saved models."""

@@ -21,6 +21,7 @@ from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
 from marl_lanes.evaluation.figures import draw_maneuver, draw_training
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
+from marl_lanes.evaluation.tables import format_summary
 from marl_lanes.naf.checkpoint import greedy_policy
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
 from marl_lanes.training.collectors import WorkerError
@@ -76,8 +77,7 @@ def run(learner: Learner, config: TrainingConfig, scenario: Scenario) -> None:
         return
     summary = report(learner, config, scenario)
     print(f"run folder: {learner.run.path}")
-    for name, value in {**learner.seconds, **learner.memory, **summary}.items():
-        print(f"  {name}: {value:.4g}" if isinstance(value, float) else f"  {name}: {value}")
+    print(format_summary({**learner.seconds, **learner.memory, **summary}))
     print(f"time of the training, without evaluating and saving:\n{format_split(learner.split)}")
 
 

@@ -56,6 +56,7 @@ class LaneChangeEnv(EnvBase):
       scenario has it, longitudinal acceleration [m/s^2]; used where ``acting``, clipped.
     - ``mask`` (E, A) bool: live; at time t it says whose transition is valid.
     - ``engaged`` (E, A) bool: the agent steers, engaged or aborting.
+    - ``aborting`` (E, A) bool: of these, who steers back to the lane that it came from.
     - ``acting`` (E, A) bool: its action has an effect: where ``engaged``, or live where D is 2.
     - ``reward`` (E, A, 1) float32, ``episode_reward`` (E, A, 1): its sum since the command.
     - ``outcome`` (E, A) int64: ``traffic.state.Outcome``; set in the step that ends a command.
@@ -157,6 +158,7 @@ class LaneChangeEnv(EnvBase):
                 "observation": self._bounded(*feature_bounds(self.scenario.observation.features)),
                 "mask": mask,
                 "engaged": mask.clone(),
+                "aborting": mask.clone(),
                 "acting": mask.clone(),
                 "episode_reward": total,
                 "outcome": Bounded(0, max(Outcome), group, dtype=torch.int64),
@@ -258,6 +260,7 @@ class LaneChangeEnv(EnvBase):
                 "observation": simulator.state.observations.copy(),
                 "mask": columns.mask,
                 "engaged": columns.engaged,
+                "aborting": columns.aborting,
                 "acting": columns.acting,
                 "episode_reward": columns.episode_reward,
                 "outcome": columns.outcome,

@@ -6,23 +6,49 @@ from typing import Any
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.evaluation.intervals import CONFIDENCE, NUM_RESAMPLES, Estimate, estimate_mean
-from marl_lanes.evaluation.metrics import AVERAGES, measure, summarise
+from marl_lanes.evaluation.measures import measure
+from marl_lanes.evaluation.metrics import AVERAGES, summarise
 from marl_lanes.evaluation.rollout import Maneuver, Policy, check_episodes, run_maneuvers
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.traffic.external import FollowerPolicy, choose_policies
 
 RATES = (
+    "success_rate",
     "completion_rate",
+    "lost_after_rate",
+    "collided_after_rate",
+    "left_lane_after_rate",
     "abort_rate",
     "missed_rate",
     "abort_or_miss_rate",
     "collision_rate",
     "off_road_rate",
     "s_critical_violation_rate",
+    "rss_violation_rate_leader",
+    "rss_violation_rate_follower",
+    "critical_time_to_collision_rate",
+    "braking_reaches_2_rate",
+    "braking_reaches_4_rate",
+    "braking_reaches_8_rate",
 )
-MEANS = ("mean_time_to_completion", "mean_max_follower_braking_all")
-LARGEST = ("max_follower_braking_all",)
-"""The statistics of a pair, metrics of docs/metrics.md; the largest have no interval."""
+MEANS = (
+    "mean_time_to_completion",
+    "mean_marking_duration",
+    "mean_max_follower_braking_all",
+    "mean_imposed_on_follower",
+    "mean_imposed_on_changer",
+    "mean_drac",
+    "mean_time_exposed",
+    "mean_time_integrated",
+    "mean_post_encroachment_time_follower",
+    "mean_post_encroachment_time_leader",
+    "mean_time_headway_follower",
+    "mean_time_headway_leader",
+    "mean_peak_longitudinal_jerk",
+    "mean_peak_total_lateral_acceleration",
+)
+EXTREMES = ("max_follower_braking_all", "max_drac", "min_time_to_collision")
+"""The statistics of a pair, metrics of docs/metrics.md; the extremes have no interval."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +91,7 @@ def crossplay(
         ``num_maneuvers``, ``seed``, ``confidence``, ``num_resamples``, ``changers`` (label to
         scenario name), ``followers`` (label to override) and ``pairs``: a list, by changer, then
         by follower, of ``changer``, ``scenario``, ``followers`` (both labels), ``num_maneuvers``,
-        ``num_roads`` and ``statistics``, which maps each of RATES, MEANS and LARGEST to ``value``,
+        ``num_roads`` and ``statistics``, which maps each of RATES, MEANS and EXTREMES to ``value``,
         ``low`` and ``high``. It holds only what JSON can.
 
     Raises:
@@ -144,7 +170,7 @@ def drive_pairs(
 def estimate(
     maneuvers: Sequence[Maneuver], scenario: Scenario, *, seed: int = 0
 ) -> dict[str, dict[str, float | None]]:
-    """The statistics of RATES, MEANS and LARGEST, each as ``value``, ``low`` and ``high``."""
+    """The statistics of RATES, MEANS and EXTREMES, each as ``value``, ``low`` and ``high``."""
     measured = [measure(maneuver, scenario, with_optimum=False) for maneuver in maneuvers]
     roads = [maneuver.env for maneuver in maneuvers]
     summary = summarise(measured)
@@ -154,5 +180,5 @@ def estimate(
         )
         for key in (*RATES, *MEANS)
     }
-    found |= {key: Estimate(summary[key], None, None) for key in LARGEST}
+    found |= {key: Estimate(summary[key], None, None) for key in EXTREMES}
     return {key: asdict(value) for key, value in found.items()}

@@ -20,7 +20,7 @@ RUNNING_MEAN = 200
 _BLUE, _RED, _GREY = "#1f5fa8", "#c23b22", "#9aa0a6"
 
 _PANELS: tuple[tuple[str, str, float, int, list[float]], ...] = (
-    ("completion_rate", "completed [%]", 100.0, 1, [90.0, 100.0]),
+    ("success_rate", "success [%]", 100.0, 1, [90.0, 100.0]),
     ("abort_or_miss_rate", "aborted or missed [%]", 100.0, 1, [0.0, 10.0]),
     ("collision_rate", "collided [%]", 100.0, 1, [0.0, 10.0]),
     ("mean_time_to_completion", "time to complete [s]", 1.0, 2, []),
@@ -29,7 +29,7 @@ _PANELS: tuple[tuple[str, str, float, int, list[float]], ...] = (
 
 
 def draw_training(run: Path, pretraining_transitions: int, optimal_return: float | None) -> None:
-    """Loss, return per maneuver and mean return per saved model, from the run's tables.
+    """Loss, return per maneuver, and of each saved model mean return and shares of maneuvers.
 
     Args:
         run: the run folder; the pictures go to its ``figures``.
@@ -61,11 +61,24 @@ def draw_training(run: Path, pretraining_transitions: int, optimal_return: float
     _save(figure, run / "figures" / "returns.png")
 
     models = _read(run / "evaluations.csv")
-    figure, axes = _new_figure("Mean return of each saved model", "transitions", "mean return")
+    figure = Figure(figsize=(6.4, 6.0), layout="constrained")
+    axes, shares = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    axes.set_title("Mean return of each saved model over its completed maneuvers")
+    axes.set_ylabel("mean return")
     axes.plot(models["transitions"], models["mean_return"], "o-", color=_BLUE, label="saved model")
     _mark_optimum(axes, optimal_return)
-    _mark_stage(axes, pretraining_transitions)
     axes.legend(loc="lower right")
+    for key, style, label in (
+        ("success_rate", "o-", "success"),
+        ("completion_rate", "x:", "completed"),
+    ):
+        shares.plot(models["transitions"], 100.0 * models[key], style, color=_BLUE, label=label)
+    shares.set_ylim(-5.0, 105.0)
+    shares.set_xlabel("transitions")
+    shares.set_ylabel("maneuvers [%]")
+    shares.legend(loc="lower right")
+    for panel in (axes, shares):
+        _mark_stage(panel, pretraining_transitions)
     _save(figure, run / "figures" / "saved_models.png")
 
 

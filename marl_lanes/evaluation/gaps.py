@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from marl_lanes.evaluation.crossplay import drive_pairs
 from marl_lanes.evaluation.intervals import estimate_mean
 from marl_lanes.evaluation.rollout import Maneuver, Policy
+from marl_lanes.evaluation.safety import entry_row
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.external import FollowerPolicy
 from marl_lanes.traffic.state import NONE, Phase
@@ -37,8 +38,7 @@ class Attempt:
     @property
     def entry(self) -> int | None:
         """Row in which the body first overlaps the target lane, if it does in this attempt."""
-        is_in = self.trace["is_over_marking"] & (self.trace["phase"] == Phase.ENGAGED)
-        return int(is_in.argmax()) if is_in.any() else None
+        return entry_row(self.trace)
 
     @property
     def abort(self) -> int | None:

@@ -1,162 +1,21 @@
-"""Metrics of recorded maneuvers; docs/metrics.md gives every definition, unit and source."""
+"""Metrics of many maneuvers; docs/metrics.md gives every definition, unit and source."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from math import inf, nan
+from math import nan
+from statistics import median
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from marl_lanes.evaluation.optimum import optimal_lane_change
+from marl_lanes.evaluation.measures import ManeuverMetrics, measure
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.traffic.state import Outcome
 
-S_CRITICAL_REACTION_TIME = 0.4
-"""t_B [s], UN R79."""
-S_CRITICAL_DECELERATION = 3.0
-"""a [m/s^2], UN R79."""
-S_CRITICAL_TIME_GAP = 1.0
-"""t_G [s], UN R79."""
-JERK_WINDOW = 0.5
-"""[s] Lateral jerk is averaged over this time, UN R79."""
-
-
-@dataclass(frozen=True)
-class ManeuverMetrics:
-    """What is measured of one maneuver; nan where it is not defined."""
-
-    outcome: Outcome
-    num_aborts: int
-    has_side_collision: bool
-    return_: float
-    return_acceleration: float
-    return_yaw_rate: float
-    return_deviation: float
-    episode_reward: float
-    num_steps: int
-    duration: float
-    waiting_time: float
-    time_to_end: float
-    optimal_return: float
-    peak_yaw_acceleration: float
-    peak_yaw_rate: float
-    peak_lateral_acceleration: float
-    peak_lateral_jerk: float
-    residual_overshoot: float
-    min_time_to_collision: float
-    max_follower_braking: float
-    max_changer_braking: float
-    is_s_critical_violated: float
-
-
-def measure(
-    maneuver: Maneuver, scenario: Scenario, *, with_optimum: bool = True
-) -> ManeuverMetrics:
-    """Every metric of one maneuver."""
-    trace = maneuver.trace
-    step = scenario.time_step
-    turning = trace["yaw_rate"] - trace["road_turn_rate"]
-    lateral_acceleration = trace["speed"] * turning
-    returns = [
-        float(trace[f"reward_{name}"].sum()) for name in ("acceleration", "yaw_rate", "deviation")
-    ]
-    is_completed = maneuver.outcome == Outcome.COMPLETED
-    optimal = nan
-    if is_completed and with_optimum:
-        optimal = _optimal_return(maneuver, scenario)
-    return ManeuverMetrics(
-        outcome=maneuver.outcome,
-        num_aborts=maneuver.num_aborts,
-        has_side_collision=maneuver.has_side_collision,
-        return_=sum(returns),
-        return_acceleration=returns[0],
-        return_yaw_rate=returns[1],
-        return_deviation=returns[2],
-        episode_reward=maneuver.episode_reward,
-        num_steps=len(trace),
-        duration=len(trace) * step,
-        waiting_time=maneuver.waiting_time,
-        time_to_end=maneuver.time_to_end,
-        optimal_return=optimal,
-        peak_yaw_acceleration=_peak(trace["yaw_acceleration"]),
-        peak_yaw_rate=_peak(turning),
-        peak_lateral_acceleration=_peak(lateral_acceleration),
-        peak_lateral_jerk=_peak(_mean_jerk(lateral_acceleration, step)),
-        residual_overshoot=max([0.0, *maneuver.residual_deviation]) if is_completed else nan,
-        min_time_to_collision=_min_time_to_collision(trace),
-        max_follower_braking=_hardest_braking(trace["follower_acceleration"]),
-        max_changer_braking=_hardest_braking(trace["acceleration"]),
-        is_s_critical_violated=_is_s_critical_violated(trace),
-    )
-
-
-def _optimal_return(maneuver: Maneuver, scenario: Scenario) -> float:
-    """The optimum of the speed profile since the last engagement; aborts before it are left out."""
-    trace = maneuver.trace
-    aborted = np.flatnonzero(trace["phase"] == Phase.ABORTING)
-    last = trace[aborted[-1] + 1 :] if aborted.size else trace
-    optimum = optimal_lane_change(
-        last["speed"],
-        time_step=scenario.time_step,
-        deviation=float(last["deviation_before"][0]),
-        yaw=float(last["yaw_before"][0]),
-        yaw_rate=float(last["yaw_rate_before"][0]),
-        curvature=last["curvature"],
-        max_yaw_acceleration=scenario.action.max_yaw_acceleration,
-        reward=scenario.reward,
-        completion=scenario.completion,
-    )
-    return optimum.total_return
-
-
-def _peak(values: NDArray[np.float64]) -> float:
-    finite = np.abs(values[np.isfinite(values)])
-    return float(finite.max()) if finite.size else nan
-
-
-def _mean_jerk(lateral_acceleration: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """Mean of the lateral jerk over JERK_WINDOW: the acceleration's change over the window."""
-    window = max(1, round(JERK_WINDOW / step))
-    padded = np.concatenate([np.zeros(window), lateral_acceleration])
-    return np.asarray((padded[window:] - padded[:-window]) / (window * step))
-
-
-def _min_time_to_collision(trace: NDArray[np.void]) -> float:
-    """Smallest gap/closing speed to the target lane's leader and follower; inf if none closes."""
-    smallest = inf
-    for gap, closing in (
-        (trace["leader_gap"], trace["speed"] - trace["leader_speed"]),
-        (trace["follower_gap"], trace["follower_speed"] - trace["speed"]),
-    ):
-        # Side by side in two lanes there is no gap to close.
-        closes = np.isfinite(gap) & (gap > 0.0) & (closing > 0.0)
-        if closes.any():
-            smallest = min(smallest, float((gap[closes] / closing[closes]).min()))
-    return smallest
-
-
-def _hardest_braking(acceleration: NDArray[np.float64]) -> float:
-    braking = -acceleration[np.isfinite(acceleration)]
-    return max(0.0, float(braking.max())) if braking.size else nan
-
-
-def _is_s_critical_violated(trace: NDArray[np.void]) -> float:
-    """Whether the follower is nearer than S_critical when the body first reaches the marking."""
-    crossings = np.flatnonzero(trace["is_over_marking"])
-    if not crossings.size:
-        return nan
-    row = trace[crossings[0]]
-    if not np.isfinite(row["follower_gap"]):
-        return nan
-    closing = max(0.0, float(row["follower_speed"] - row["speed"]))
-    critical = (
-        closing * S_CRITICAL_REACTION_TIME
-        + closing**2 / (2.0 * S_CRITICAL_DECELERATION)
-        + float(row["speed"]) * S_CRITICAL_TIME_GAP
-    )
-    return float(row["follower_gap"] < critical)
+HARD_BRAKING = (2, 4, 8)
+"""[m/s^2] Shares of changes in which someone brakes so hard, or harder, are reported."""
+_ROUNDING = 1e-6
+"""[m/s^2] The braking limit is reached up to the rounding of a speed's difference."""
 
 
 def _ended_by(outcome: Outcome) -> Callable[[ManeuverMetrics], float]:
@@ -167,18 +26,83 @@ def _if_completed(name: str) -> Callable[[ManeuverMetrics], float]:
     return lambda row: float(getattr(row, name)) if row.outcome == Outcome.COMPLETED else nan
 
 
-_PEAKS = (
+def _if_watched(name: str) -> Callable[[ManeuverMetrics], float]:
+    return lambda row: nan if row.after is None else float(getattr(row.after, name))
+
+
+def _of_safety(name: str) -> Callable[[ManeuverMetrics], float]:
+    return lambda row: float(getattr(row.safety, name))
+
+
+def _of_completed_safety(name: str) -> Callable[[ManeuverMetrics], float]:
+    return lambda row: float(getattr(row.safety, name)) if row.outcome == Outcome.COMPLETED else nan
+
+
+def _is_unsettled(row: ManeuverMetrics) -> float:
+    return nan if row.after is None else float(np.isnan(row.after.settling_time))
+
+
+def _is_critical(row: ManeuverMetrics) -> float:
+    return float(row.safety.time_exposed > 0.0) if row.num_steps else nan
+
+
+def _brakes(limit: float, *names: str) -> Callable[[ManeuverMetrics], float]:
+    """Whether one of the decelerations reaches the limit, of a completed maneuver."""
+
+    def contribution(row: ManeuverMetrics) -> float:
+        if row.outcome != Outcome.COMPLETED:
+            return nan
+        return float(any(getattr(row.safety, name) >= limit - _ROUNDING for name in names))
+
+    return contribution
+
+
+_COMPLETED_PEAKS = (
     "peak_yaw_acceleration",
     "peak_yaw_rate",
     "peak_lateral_acceleration",
+    "peak_total_lateral_acceleration",
     "peak_lateral_jerk",
-    "residual_overshoot",
+    "peak_longitudinal_jerk",
     "max_follower_braking",
     "max_changer_braking",
 )
+_AFTER_PEAKS = ("lateral_speed_at_completion", "peak_deviation_after", "settling_time")
+_BRAKING = tuple(
+    f"{who}_braking_{when}_marking"
+    for who in ("follower", "changer")
+    for when in ("before", "after")
+)
+_SAFETY_LARGEST = (
+    "drac",
+    "imposed_on_follower",
+    "imposed_on_changer",
+    "time_exposed",
+    "time_integrated",
+    "rss_violation_time",
+)
+_SAFETY_SMALLEST = (
+    "post_encroachment_time_leader",
+    "post_encroachment_time_follower",
+    "time_headway_leader",
+    "time_headway_follower",
+)
+_TIMES_TO_COLLISION = (
+    "min_time_to_collision",
+    "min_time_to_collision_target_leader",
+    "min_time_to_collision_target_follower",
+    "min_time_to_collision_origin_leader",
+    "min_time_to_collision_origin_follower",
+)
 
 AVERAGES: dict[str, Callable[[ManeuverMetrics], float]] = {
+    "success_rate": lambda row: float(row.is_success),
     "completion_rate": _ended_by(Outcome.COMPLETED),
+    "success_of_completed_rate": _if_watched("is_good"),
+    "lost_after_rate": _if_watched("is_lost"),
+    "collided_after_rate": _if_watched("has_collided"),
+    "left_lane_after_rate": _if_watched("has_left_lane"),
+    "unsettled_after_rate": _is_unsettled,
     "collision_rate": _ended_by(Outcome.COLLISION),
     "steering_collision_rate": lambda row: float(row.has_side_collision),
     "abort_rate": lambda row: float(row.num_aborts > 0),
@@ -196,13 +120,36 @@ AVERAGES: dict[str, Callable[[ManeuverMetrics], float]] = {
     "mean_optimal_return": _if_completed("optimal_return"),
     "mean_num_steps": _if_completed("num_steps"),
     "mean_duration": _if_completed("duration"),
+    "mean_marking_duration": _of_completed_safety("marking_duration"),
     "mean_waiting_time": lambda row: row.waiting_time,
     "mean_time_to_completion": _if_completed("time_to_end"),
-    **{f"mean_{name}": _if_completed(name) for name in _PEAKS},
+    "mean_watched_time": _if_watched("watched_time"),
+    **{f"mean_{name}": _if_watched(name) for name in _AFTER_PEAKS},
+    **{f"mean_{name}": _if_completed(name) for name in _COMPLETED_PEAKS},
     "mean_max_follower_braking_all": lambda row: row.max_follower_braking,
-    "s_critical_violation_rate": lambda row: row.is_s_critical_violated,
+    **{f"braking_reaches_{limit}_rate": _brakes(limit, *_BRAKING) for limit in HARD_BRAKING},
+    **{
+        f"{name.replace('_braking_', f'_braking_reaches_{limit}_')}_rate": _brakes(limit, name)
+        for limit in HARD_BRAKING
+        for name in _BRAKING
+    },
+    "s_critical_violation_rate": _of_safety("is_s_critical_violated"),
+    "rss_violation_rate_leader": _of_safety("is_rss_violated_leader"),
+    "rss_violation_rate_follower": _of_safety("is_rss_violated_follower"),
+    "critical_time_to_collision_rate": _is_critical,
+    **{f"mean_{name}": _of_safety(name) for name in (*_SAFETY_LARGEST, *_SAFETY_SMALLEST)},
 }
 """The metrics that are means over maneuvers: what each one contributes, nan where it does not."""
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    finite = _finite(values)
+    return float(np.mean(finite)) if finite else None
+
+
+def _of_finite(choose: Callable[[Iterable[float]], float], values: Iterable[float]) -> float | None:
+    finite = _finite(values)
+    return choose(finite) if finite else None
 
 
 def _finite(values: Iterable[float]) -> list[float]:
@@ -210,23 +157,35 @@ def _finite(values: Iterable[float]) -> list[float]:
 
 
 def summarise(measured: Sequence[ManeuverMetrics]) -> dict[str, Any]:
-    """The metrics over all maneuvers; None where no maneuver defines one."""
-    summary: dict[str, Any] = {"num_maneuvers": len(measured)}
-    for key, contribution in AVERAGES.items():
-        values = _finite(map(contribution, measured))
-        summary[key] = float(np.mean(values)) if values else None
-    optimal = [row for row in measured if np.isfinite(AVERAGES["mean_optimal_return"](row))]
-    summary["cost_ratio"] = None
-    if summary["mean_optimal_return"]:
-        mean = float(np.mean([row.return_ for row in optimal]))
-        summary["cost_ratio"] = mean / summary["mean_optimal_return"]
-    for name in _PEAKS:
+    """The metrics over all maneuvers, the headline first; None where no maneuver defines one."""
+    averages = {key: _mean(map(each, measured)) for key, each in AVERAGES.items()}
+    optimal = averages["mean_optimal_return"]
+    returns = [row.return_ for row in measured if np.isfinite(row.optimal_return)]
+    # The headline: no cost is read without what became of the vehicles.
+    summary: dict[str, Any] = {
+        "num_maneuvers": len(measured),
+        "success_rate": averages["success_rate"],
+        "completion_rate": averages["completion_rate"],
+        "cost_ratio": float(np.mean(returns)) / optimal if optimal else None,
+        **averages,
+    }
+    for name in _COMPLETED_PEAKS:
         key = f"max_{name}".replace("max_max_", "max_")
-        summary[key] = max(_finite(map(_if_completed(name), measured)), default=None)
-    of_all = _finite(row.max_follower_braking for row in measured)
-    summary["max_follower_braking_all"] = max(of_all, default=None)
-    times = _finite(row.min_time_to_collision for row in measured)
-    summary["min_time_to_collision"] = min(times, default=None)
+        summary[key] = _of_finite(max, map(_if_completed(name), measured))
+    for name in _AFTER_PEAKS:
+        summary[f"max_{name}"] = _of_finite(max, map(_if_watched(name), measured))
+    durations = map(_of_completed_safety("marking_duration"), measured)
+    summary["max_marking_duration"] = _of_finite(max, durations)
+    of_all = (row.max_follower_braking for row in measured)
+    summary["max_follower_braking_all"] = _of_finite(max, of_all)
+    for name in _SAFETY_LARGEST:
+        summary[f"max_{name}"] = _of_finite(max, map(_of_safety(name), measured))
+    for name in _SAFETY_SMALLEST:
+        summary[f"min_{name}"] = _of_finite(min, map(_of_safety(name), measured))
+    times = map(_of_safety("min_time_to_collision"), measured)
+    summary["median_min_time_to_collision"] = _of_finite(median, times)
+    for name in _TIMES_TO_COLLISION:
+        summary[name] = _of_finite(min, map(_of_safety(name), measured))
     return summary
 
 

@@ -1,15 +1,20 @@
 """Policies without learning, for comparison."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from marl_lanes.evaluation.rollout import Policy
+from marl_lanes.naf.lateral import TUNED_CASCADE, steer_by_cascade
 from marl_lanes.scenario import Scenario, ScenarioError
 
 _STEERING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
 _CAR_FOLLOWING = "car_following_acceleration"
+
+Column = NDArray[np.float64]
+"""(N,) of N agents."""
 
 
 def make_random_policy(scenario: Scenario, seed: int) -> Policy:
@@ -31,22 +36,47 @@ def make_lane_keeping_policy(scenario: Scenario) -> Policy:
     Raises:
         ScenarioError: a feature that it needs is not observed.
     """
-    has_longitudinal = scenario.action.longitudinal is not None
-    needed = (*_STEERING_FEATURES, _CAR_FOLLOWING) if has_longitudinal else _STEERING_FEATURES
-    columns = _columns(scenario, needed)
-    low, high = _bounds(scenario)
     pole = scenario.lane_keeping.pole
     width = scenario.road.lane_width
 
+    def steer(speed: Column, deviation: Column, yaw: Column, turning: Column) -> Column:
+        error = deviation - width * np.round(deviation / width)
+        bend = pole**3 * error / np.maximum(speed, 1.0)
+        return np.asarray(bend - 3.0 * pole**2 * yaw - 3.0 * pole * turning)
+
+    return _make_steering_policy(scenario, "lane-keeping", steer)
+
+
+def make_tuned_cascade_policy(scenario: Scenario) -> Policy:
+    """The classical controller that a learner must beat: the cascade with its tuned constants.
+
+    Where the action has a second dimension, that is what car following would do.
+
+    Raises:
+        ScenarioError: a feature that it needs is not observed.
+    """
+
+    def steer(*columns: Column) -> Column:
+        tensors = [torch.from_numpy(column) for column in columns]
+        return np.asarray(steer_by_cascade(*tensors, gains=TUNED_CASCADE).numpy())
+
+    return _make_steering_policy(scenario, "tuned-cascade", steer)
+
+
+def _make_steering_policy(
+    scenario: Scenario, name: str, steer: Callable[[Column, Column, Column, Column], Column]
+) -> Policy:
+    """A policy of speed, deviation, yaw and yaw rate relative to the road; else car following."""
+    has_longitudinal = scenario.action.longitudinal is not None
+    needed = (*_STEERING_FEATURES, _CAR_FOLLOWING) if has_longitudinal else _STEERING_FEATURES
+    columns = _columns(scenario, needed, name)
+    low, high = _bounds(scenario)
+
     def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         seen = observations[:, columns].astype(np.float64)
-        speed, deviation, yaw, yaw_rate, curvature = seen[:, : len(_STEERING_FEATURES)].T
-        error = deviation - width * np.round(deviation / width)
-        steering = (
-            pole**3 * error / np.maximum(speed, 1.0)
-            - 3.0 * pole**2 * yaw
-            - 3.0 * pole * (yaw_rate - curvature * speed)
-        )
+        # Copies: a torch tensor wants rows that lie together.
+        speed, deviation, yaw, yaw_rate, curvature = seen[:, : len(_STEERING_FEATURES)].T.copy()
+        steering = steer(speed, deviation, yaw, yaw_rate - curvature * speed)
         actions = np.column_stack([steering, seen[:, len(_STEERING_FEATURES) :]])
         return np.asarray(np.clip(actions, low, high))
 
@@ -63,12 +93,12 @@ def _bounds(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[np.float64
     return low, np.array([yaw, longitudinal.max_acceleration])
 
 
-def _columns(scenario: Scenario, needed: Sequence[str]) -> list[int]:
+def _columns(scenario: Scenario, needed: Sequence[str], name: str) -> list[int]:
     features: list[str] = list(scenario.observation.features)
     missing = [name for name in needed if name not in features]
     if missing:
         raise ScenarioError(
             f"scenario {scenario.name!r}: observation.features = {features} must hold {missing} "
-            "for the lane-keeping policy"
+            f"for the policy {name}"
         )
     return [features.index(name) for name in needed]

@@ -1,7 +1,7 @@
 """Maneuvers of a policy on seeded traffic, recorded step by step."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import ceil
 from typing import Any
 
@@ -9,16 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_lanes.envs.followers import find_policies
+from marl_lanes.evaluation.aftermath import Aftermath, Watch
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.traffic.counterfactual import accelerations_without_change
 from marl_lanes.traffic.external import FollowerPolicy
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.traffic.state import NONE, CollisionKind, Outcome, Phase
 
 Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 """Observations of N acting agents, (N, F), to their actions, (N, D)."""
-
-RESIDUAL_TIME = 10.0
-"""[s] How long a vehicle is watched after it has completed."""
 
 TRACE = np.dtype(
     [
@@ -31,6 +30,7 @@ TRACE = np.dtype(
         ("yaw_before", "f8"),
         ("yaw_rate_before", "f8"),
         ("curvature", "f8"),
+        ("acceleration_before", "f8"),
         ("follower_gap_before", "f8"),  # inf where there is none
         # After the step, in the maneuver frame.
         ("speed", "f8"),
@@ -40,14 +40,26 @@ TRACE = np.dtype(
         ("yaw_rate", "f8"),
         ("yaw_acceleration", "f8"),
         ("road_turn_rate", "f8"),
-        ("is_over_marking", "?"),
+        ("position", "f8"),
+        ("is_over_marking", "?"),  # the body is in the target lane
+        ("is_in_origin", "?"),  # the body is in the origin lane
         # Of the target lane's neighbors after the step; inf and nan where there is none.
+        ("leader_id", "i8"),  # serial number on its road, -1 where there is none
         ("leader_gap", "f8"),
         ("leader_speed", "f8"),
         ("follower_id", "i8"),  # serial number on its road, -1 where there is none
         ("follower_gap", "f8"),
         ("follower_speed", "f8"),
         ("follower_acceleration", "f8"),
+        # The same in the origin lane.
+        ("origin_leader_gap", "f8"),
+        ("origin_leader_speed", "f8"),
+        ("origin_follower_gap", "f8"),
+        ("origin_follower_speed", "f8"),
+        # Braking beyond what car following without the change would ask in the state before the
+        # step, of the changer and of who was behind it then; nan where nobody was.
+        ("imposed_on_changer", "f8"),
+        ("imposed_on_follower", "f8"),
         ("reward_acceleration", "f8"),
         ("reward_yaw_rate", "f8"),
         ("reward_deviation", "f8"),
@@ -76,8 +88,16 @@ class Maneuver:
     """Sum of every term of the reward since the command, waiting included."""
     trace: NDArray[np.void]
     """(N,) TRACE, in the order of time; empty where it never engaged."""
-    residual_deviation: list[float] = field(default_factory=list)
-    """After completion: deviation from the target lane's centre, positive beyond it [m]."""
+    aftermath: Aftermath | None = None
+    """What became of the vehicle; None where the change was not completed."""
+
+    def __post_init__(self) -> None:
+        """Refuse a completed change of which nobody knows what became of it."""
+        if (self.aftermath is None) == (self.outcome == Outcome.COMPLETED):
+            raise ValueError(
+                f"aftermath = {self.aftermath}: must be there if and only if the outcome is "
+                f"COMPLETED, is {self.outcome.name}"
+            )
 
 
 class _Recorder:
@@ -87,7 +107,7 @@ class _Recorder:
         self.simulator = simulator
         self.rows: list[NDArray[np.void]] = []
         self.maneuvers: dict[tuple[int, int], Maneuver] = {}
-        self.watched: list[tuple[Maneuver, int, int, int, int]] = []
+        self.watch = Watch(simulator)
 
     def before(self) -> None:
         """Note who steers, and the state in which it acts."""
@@ -101,10 +121,14 @@ class _Recorder:
         rows["deviation_before"] = self._deviation(agents, cars, agents["phase"])
         rows["yaw_before"] = direction * cars["yaw"]
         rows["yaw_rate_before"] = direction * cars["yaw_rate"]
+        rows["acceleration_before"] = cars["acceleration"]
         rows["curvature"] = direction * self._curvature(cars["position"])
         rows["follower_gap_before"] = self._gap(envs, cars, agents["target_follower"], -1.0)
         rows["road_turn_rate"] = rows["curvature"] * cars["speed"]
+        without = accelerations_without_change(simulator.state, simulator.parameters)
         self._pending = rows, envs, slots
+        self._without = [found[envs, slots] for found in without]
+        self._vehicles = agents["vehicle"].copy(), agents["target_follower"].copy()
 
     def after(self) -> None:
         """Complete the rows, and note the commands that ended."""
@@ -119,50 +143,63 @@ class _Recorder:
         for name in ("yaw", "yaw_rate", "yaw_acceleration"):
             rows[name] = direction * cars[name]
         target = agents["target_lane"]
+        origin = agents["origin_lane"]
+        rows["position"] = cars["position"]
         rows["is_over_marking"] = (cars["lane_low"] <= target) & (target <= cars["lane_high"])
+        rows["is_in_origin"] = (cars["lane_low"] <= origin) & (origin <= cars["lane_high"])
         for side, sign in (("leader", 1.0), ("follower", -1.0)):
+            for slot, prefix in ((agents[f"target_{side}"], ""), (agents[side], "origin_")):
+                others = simulator.vehicles[envs, slot]
+                rows[f"{prefix}{side}_gap"] = self._gap(envs, cars, slot, sign)
+                rows[f"{prefix}{side}_speed"] = np.where(slot == NONE, np.nan, others["speed"])
             slot = agents[f"target_{side}"]
             others = simulator.vehicles[envs, slot]
-            rows[f"{side}_gap"] = self._gap(envs, cars, slot, sign)
-            rows[f"{side}_speed"] = np.where(slot == NONE, np.nan, others["speed"])
+            rows[f"{side}_id"] = np.where(slot == NONE, NONE, others["id"])
             if side == "follower":
                 acceleration = np.where(slot == NONE, np.nan, others["acceleration"])
                 rows["follower_acceleration"] = acceleration
-                rows["follower_id"] = np.where(slot == NONE, NONE, others["id"])
+        self._note_imposed(rows, envs)
         for name in ("reward_acceleration", "reward_yaw_rate", "reward_deviation"):
             rows[name] = agents[name]
         self.rows.append(rows)
-        self._note_residuals()
+        self.watch.advance()
         self._note_outcomes()
 
     def _note_outcomes(self) -> None:
         simulator = self.simulator
         step = simulator.scenario.time_step
+        is_completed = simulator.agents["outcome"] == Outcome.COMPLETED
+        envs, slots = np.nonzero(is_completed)
+        begun = self.watch.begin(envs, slots)
+        aftermaths = dict(zip(zip(envs.tolist(), slots.tolist(), strict=True), begun, strict=True))
         for env, slot in np.argwhere(simulator.has_ended).tolist():
             agent = simulator.agents[env, slot]
             outcome = Outcome(int(agent["outcome"]))
             born, lifetime = int(agent["born_step"]), int(simulator.roads["step"][env])
             lifetime -= born
-            maneuver = Maneuver(
+            command = int(agent["command"])
+            self.maneuvers[env, command] = Maneuver(
                 env=env,
-                command=int(agent["command"]),
+                command=command,
                 outcome=outcome,
                 num_aborts=int(agent["num_aborts"]),
                 born_step=born,
                 waiting_time=lifetime * step,
                 time_to_end=lifetime * step,
-                has_side_collision=self._has_side_collision(env, slot, int(agent["command"])),
+                has_side_collision=self._has_side_collision(env, slot, command),
                 episode_reward=float(agent["episode_reward"]),
                 trace=np.zeros(0, TRACE),
+                aftermath=aftermaths.get((env, slot)),
             )
-            self.maneuvers[env, maneuver.command] = maneuver
-            if outcome == Outcome.COMPLETED:
-                car = simulator.vehicles[env, agent["vehicle"]]
-                last = int(simulator.roads["step"][env]) + round(RESIDUAL_TIME / step)
-                direction = int(agent["direction"])
-                self.watched.append(
-                    (maneuver, int(agent["vehicle"]), int(car["id"]), direction, last)
-                )
+
+    def _note_imposed(self, rows: NDArray[np.void], envs: NDArray[np.int64]) -> None:
+        """By how much changer and follower brake harder than they would without the change."""
+        for name, slot, without in zip(
+            ("changer", "follower"), self._vehicles, self._without, strict=True
+        ):
+            driven = self.simulator.vehicles[envs, slot]["acceleration"]
+            extra = np.maximum(0.0, -driven) - np.maximum(0.0, -without)
+            rows[f"imposed_on_{name}"] = np.maximum(0.0, extra)
 
     def _has_side_collision(self, env: int, slot: int, command: int) -> bool:
         _, envs, slots = self._pending
@@ -174,20 +211,6 @@ class _Recorder:
             records["step"] == self.simulator.roads["step"][env]
         )
         return bool((is_own & is_new & (records["kind"] == CollisionKind.SIDE)).any())
-
-    def _note_residuals(self) -> None:
-        simulator = self.simulator
-        width = simulator.scenario.road.lane_width
-        still = []
-        for entry in self.watched:
-            maneuver, vehicle, identity, direction, last = entry
-            car = simulator.vehicles[maneuver.env, vehicle]
-            if car["id"] != identity or simulator.roads["step"][maneuver.env] > last:
-                continue
-            beyond = car["lateral_position"] - (car["lane"] + 0.5) * width
-            maneuver.residual_deviation.append(float(direction * beyond))
-            still.append(entry)
-        self.watched = still
 
     def _deviation(self, agents: Any, cars: Any, phase: Any) -> NDArray[np.float64]:
         lane = np.where(phase == Phase.ABORTING, agents["origin_lane"], agents["target_lane"])
@@ -209,6 +232,7 @@ class _Recorder:
 
     def finish(self) -> list[Maneuver]:
         """The maneuvers in the order of road and command, with their traces."""
+        self.watch.finish()
         rows = np.concatenate(self.rows) if self.rows else np.zeros(0, TRACE)
         rows = rows[np.lexsort((rows["step"], rows["command"], rows["env"]))]
         keys, starts = np.unique(rows[["env", "command"]], return_index=True)
@@ -261,7 +285,7 @@ def run_maneuvers(
     simulator.reset()
     recorder = _Recorder(simulator)
     actions = np.zeros((simulator.num_envs, simulator.num_slots, simulator.num_actions))
-    while not simulator.roads["is_done"].all() or recorder.watched:
+    while not simulator.roads["is_done"].all() or not recorder.watch.is_over:
         acting = simulator.is_acting
         actions.fill(0.0)
         if acting.any():

@@ -7,16 +7,40 @@ WIDTH = 120
 """Columns of a terminal."""
 
 CROSSPLAY_ROWS = (
+    ("success_rate", "success [%]", 100.0, 1),
     ("completion_rate", "completed [%]", 100.0, 1),
+    ("lost_after_rate", "lost afterwards [%]", 100.0, 1),
+    ("collided_after_rate", "collided afterwards [%]", 100.0, 1),
+    ("left_lane_after_rate", "out of its lane afterwards [%]", 100.0, 1),
     ("abort_rate", "aborted [%]", 100.0, 1),
     ("missed_rate", "missed [%]", 100.0, 1),
     ("abort_or_miss_rate", "aborted or missed [%]", 100.0, 1),
     ("collision_rate", "collided [%]", 100.0, 1),
     ("off_road_rate", "off the road [%]", 100.0, 1),
     ("mean_time_to_completion", "time to complete [s]", 1.0, 2),
+    ("mean_marking_duration", "over the marking [s]", 1.0, 2),
+    ("braking_reaches_2_rate", "braking of 2 m/s^2 [%]", 100.0, 1),
+    ("braking_reaches_4_rate", "braking of 4 m/s^2 [%]", 100.0, 1),
+    ("braking_reaches_8_rate", "braking of 8 m/s^2 [%]", 100.0, 1),
     ("mean_max_follower_braking_all", "follower's braking, mean [m/s^2]", 1.0, 2),
     ("max_follower_braking_all", "follower's braking, largest", 1.0, 2),
+    ("mean_imposed_on_follower", "imposed on follower [m/s^2]", 1.0, 2),
+    ("mean_imposed_on_changer", "imposed on changer [m/s^2]", 1.0, 2),
+    ("mean_drac", "DRAC, mean [m/s^2]", 1.0, 2),
+    ("max_drac", "DRAC, largest", 1.0, 2),
+    ("min_time_to_collision", "TTC, smallest [s]", 1.0, 2),
+    ("critical_time_to_collision_rate", "TTC below 1.5 s [%]", 100.0, 1),
+    ("mean_time_exposed", "TET [s]", 1.0, 3),
+    ("mean_time_integrated", "TIT [s^2]", 1.0, 3),
+    ("mean_post_encroachment_time_follower", "PET, follower [s]", 1.0, 2),
+    ("mean_post_encroachment_time_leader", "PET, leader [s]", 1.0, 2),
+    ("mean_time_headway_follower", "time headway, follower [s]", 1.0, 2),
+    ("mean_time_headway_leader", "time headway, leader [s]", 1.0, 2),
     ("s_critical_violation_rate", "S_critical violated [%]", 100.0, 1),
+    ("rss_violation_rate_follower", "RSS violated, follower [%]", 100.0, 1),
+    ("rss_violation_rate_leader", "RSS violated, leader [%]", 100.0, 1),
+    ("mean_peak_longitudinal_jerk", "longitudinal jerk [m/s^3]", 1.0, 2),
+    ("mean_peak_total_lateral_acceleration", "lateral acceleration [m/s^2]", 1.0, 2),
 )
 """Key, title, factor and decimals of the rows of a cross-play table."""
 
@@ -34,6 +58,28 @@ def format_estimate(
     if low is None or high is None:
         return text
     return f"{text} [{factor * low:.{decimals}f}, {factor * high:.{decimals}f}]"
+
+
+def format_summary(summary: Mapping[str, Any]) -> str:
+    """A line for every key and value.
+
+    Args:
+        summary: of ``evaluate``, with whatever else is to be shown.
+
+    Raises:
+        ValueError: it shows a cost or a completion rate, and no success rate beside it.
+    """
+    told = [key for key in ("cost_ratio", "completion_rate") if summary.get(key) is not None]
+    if told and summary.get("success_rate") is None:
+        raise ValueError(
+            f"success_rate = None: must be given where {' and '.join(told)} is shown, which say "
+            "nothing of what became of the vehicles"
+        )
+    width = max(map(len, summary), default=0)
+    return "\n".join(
+        f"{key:{width}} {value:.5g}" if isinstance(value, float) else f"{key:{width}} {value}"
+        for key, value in summary.items()
+    )
 
 
 def format_crossplay(result: Mapping[str, Any]) -> str:

@@ -186,6 +186,8 @@ class NAFLoss(LossModule):
         value_type, parameters = self._prepare_value_estimator_kwargs(value_type, **hyperparams)
         if value_type is None:  # a class or an instance, already in place
             return self
+        # Its numbers are tensors: on the CPU they would be sent to a GPU at every update.
+        parameters.setdefault("device", next(self.parameters()).device)
         dispatch_value_estimator(
             self, value_type, supported=self.SUPPORTED_VALUE_ESTIMATORS, **parameters
         )

@@ -39,9 +39,9 @@ class NAFNetwork(TensorDictModuleBase):
         features: names of the observation's columns.
         action_low: lower bounds of the action, (action_dim,), in action units.
         action_high: upper bounds of the action, (action_dim,).
-        mu: structure of mu: "paper" (Eq. 6-7) or "damped" (with yaw-rate feedback) for one action;
-            for two these with "+idm" (car following and a correction) or "+mlp" for the second;
-            "mlp" for any number.
+        mu: structure of mu: "cascade" (a yaw-rate loop inside Eq. 7's), "paper" (Eq. 6 and Eq. 7
+            to the letter) or "damped" (three placed poles) for one action; for two these with
+            "+idm" (car following and a correction) or "+mlp" for the second; "mlp" for any number.
         hidden_sizes: widths of the hidden layers of every network.
         offsets: observation offsets, one a feature, in its unit; zeros where not given.
         scales: observation scales, one a feature, positive, in its unit; ones where not given.
@@ -82,7 +82,7 @@ class NAFNetwork(TensorDictModuleBase):
         action_low: Sequence[float] | Tensor,
         action_high: Sequence[float] | Tensor,
         *,
-        mu: str = "paper",
+        mu: str = "cascade",
         hidden_sizes: Sequence[int] = (64, 64),
         offsets: Sequence[float] | Tensor | None = None,
         scales: Sequence[float] | Tensor | None = None,

@@ -22,6 +22,9 @@ class Cooperative(Section):
     max_braking: Positive = Field(
         2.0, description="hardest braking for a changer not yet in its lane [m/s^2], > 0"
     )
+    moves_over: bool = Field(
+        False, description="whether it may also move to the lane beyond to yield [bool]"
+    )
 
 
 class Adversarial(Section):

@@ -220,14 +220,17 @@ class Gap(Section):
 
 
 class Completion(Section):
-    """When an engaged changer has completed: every bound that is set holds."""
+    """When a changer has settled in its lane: every bound that is set holds.
+
+    In the target lane it has then completed; turned back, in its own, it waits again.
+    """
 
     max_deviation: Positive = Field(0.2, description="|lateral deviation| [m], > 0")
     max_lateral_speed: Positive | None = Field(
-        None, description="|lateral speed| [m/s], > 0, null for no bound"
+        0.25, description="|lateral speed| [m/s], > 0, null for no bound"
     )
     max_yaw_rate: Positive | None = Field(
-        None, description="|yaw rate - the road's own| [rad/s], > 0, null for no bound"
+        0.03, description="|yaw rate - the road's own| [rad/s], > 0, null for no bound"
     )
 
 
@@ -313,7 +316,7 @@ class Observation(Section):
 
 
 class Reward(Section):
-    """Eq. 10-12 and the failure penalty."""
+    """Eq. 10, Eq. 11, Eq. 12 and the failure penalty."""
 
     acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
     yaw_rate_weight: NonNegative = Field(0.5, description="w_rate [1/(rad/s)], >= 0")

@@ -5,13 +5,12 @@ from typing import Any
 
 from marl_lanes.traffic.compiled import compiled, internal
 from marl_lanes.traffic.kinematics import half_extent
-from marl_lanes.traffic.state import NONE, CollisionKind
+from marl_lanes.traffic.state import NONE, CollisionKind, Fate
 
-STAYS = 0
-LEAVES = 1
-COLLIDES = 2
-STRAYS = 3
-"""What a step does with a vehicle: the values of ``vehicles.fate``."""
+STAYS = int(Fate.STAYS)
+LEAVES = int(Fate.LEAVES)
+COLLIDES = int(Fate.COLLIDES)
+STRAYS = int(Fate.STRAYS)
 
 _REAR_END = int(CollisionKind.REAR_END)
 _SIDE = int(CollisionKind.SIDE)

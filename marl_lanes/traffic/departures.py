@@ -8,7 +8,9 @@ from marl_lanes.traffic.idm import interaction_term
 from marl_lanes.traffic.kinematics import half_extent, lane_centre, occupy, road_turn_rate
 from marl_lanes.traffic.neighbors import bumper_gap, neighbor_in_lane
 from marl_lanes.traffic.random import choice, uniform
-from marl_lanes.traffic.state import NONE
+from marl_lanes.traffic.state import NONE, Fate
+
+_STAYS = int(Fate.STAYS)
 
 
 @internal
@@ -49,7 +51,8 @@ def _place(car: Any, lane: int, lane_record: Any, arcs: Any, constants: Any) -> 
     car.lane = lane
     car.agent = NONE
     car.changer = NONE
-    car.fate = 0
+    car.moving_over = 0
+    car.fate = _STAYS
     car.yaw_rate = road_turn_rate(car, arcs)
     occupy(car, half_extent(0.0, constants), constants)
 
@@ -73,7 +76,7 @@ def depart(
         if now < lanes[lane].next_departure or num_taken == vehicles.shape[0]:
             continue
         slot = 0
-        while vehicles[slot].id != NONE or vehicles[slot].fate != 0:
+        while vehicles[slot].id != NONE or vehicles[slot].fate != _STAYS:
             slot += 1
         car = vehicles[slot]
         _place(car, lane, lanes[lane], arcs, constants)
@@ -97,12 +100,13 @@ def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: A
     for slot in range(vehicles.shape[0]):
         vehicles[slot].id = NONE
         vehicles[slot].agent = NONE
-        vehicles[slot].fate = 0
+        vehicles[slot].fate = _STAYS
     warmup = uniform(road, constants.warmup_low, constants.warmup_high)
     road.step = -math.ceil(warmup / constants.time_step)
     road.num_vehicles = road.num_entered = road.num_left = road.num_off_road = 0
     road.num_removed = 0
     road.num_collided = road.num_collisions = 0
+    road.num_moves_over = road.num_moves_returned = 0
     road.num_commands = road.num_live = road.num_ended = road.is_done = road.is_cut = 0
     now = road.step * constants.time_step
     for lane in range(lanes.shape[0]):

@@ -1,11 +1,11 @@
 """Longitudinal acceleration of every vehicle: the leaders in its lanes, and its disposition.
 
 cooperative: takes the engaged changer as its leader from engagement on, with a longer headway and
-gentle braking while the changer's body is not yet in its lane. neutral: plain car following; the
-changer counts once its body overlaps the lane. adversarial: until the body is in its lane it drives
-for a higher speed, with more acceleration and a shorter headway, as if the changer were not there;
-then it follows the car-following law, as hard as it must brake. external: while it is paired, its
-policy's acceleration, within bounds; otherwise neutral.
+gentle braking while the changer's body is not yet in its lane; or leaves it the lane (yielding.py).
+neutral: plain car following; the changer counts once its body overlaps the lane. adversarial: until
+the body is in its lane it drives for a higher speed, with more acceleration and a shorter headway,
+as if the changer were not there; then it follows the car-following law, as hard as it must brake.
+external: while it is paired, its policy's acceleration, within bounds; otherwise neutral.
 """
 
 import math
@@ -15,7 +15,8 @@ from marl_lanes.traffic.car_following import follow, follow_plainly
 from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.gap_seeking import desired_speed_of, seek_or_hold
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
-from marl_lanes.traffic.neighbors import bumper_gap, is_body_in
+from marl_lanes.traffic.kinematics import attainable
+from marl_lanes.traffic.neighbors import bumper_gap, find_rank, is_body_in
 from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.state import NONE, Disposition, Phase
 
@@ -35,7 +36,7 @@ def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, 
 
 
 @internal
-def _drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
+def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or none [m/s^2]."""
     if front > NONE:
         return follow_plainly(car, vehicles[front], profile, constants)
@@ -60,9 +61,7 @@ def car_following(
     car = vehicles[agent.vehicle]
     profile = profiles[car.profile]
     limit, headway, scale = profile.max_acceleration, profile.time_headway, profile.braking_scale
-    rank = 0
-    while order[rank] != agent.vehicle:
-        rank += 1
+    rank = find_rank(agent.vehicle, order)
     seeking, holding = seek_or_hold(
         rank, car, agent, order, count, vehicles, agents, profiles, constants
     )
@@ -78,7 +77,7 @@ def car_following(
         front = vehicles[agent.target_leader]
         toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
         acceleration = min(acceleration, max(toward, holding))
-    return float(max(acceleration, -constants.max_braking))
+    return float(attainable(acceleration, car, constants))
 
 
 @internal
@@ -137,6 +136,35 @@ def _drive_by_agent(
 
 
 @internal
+def yield_to(car: Any, profile: Any, changer: Any, constants: Any) -> float:
+    """Car following of a cooperative driver behind its changer, with the longer headway [m/s^2]."""
+    headway, scale = constants.cooperative_time_headway, profile.braking_scale
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    limit = profile.max_acceleration
+    return follow(car, changer, free_road, limit, headway, scale, profile, constants)
+
+
+@internal
+def _toward_lane(
+    car: Any, profile: Any, desired_speed: float, lane: Any, vehicles: Any, constants: Any
+) -> float:
+    """The smallest acceleration toward who is ahead in the lane, or on the way to it [m/s^2].
+
+    By the driver's own profile, whatever its disposition makes of its own lane; inf without one.
+    """
+    headway, scale = profile.time_headway, profile.braking_scale
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    limit, acceleration = profile.max_acceleration, math.inf
+    for front in (lane.nearest, lane.nearest_engaged):
+        if front > NONE:
+            toward = follow(
+                car, vehicles[front], free_road, limit, headway, scale, profile, constants
+            )
+            acceleration = min(acceleration, toward)
+    return acceleration
+
+
+@internal
 def _drive_among(
     rank: int,
     car: Any,
@@ -166,6 +194,7 @@ def _drive_among(
             rank, car, agent, order, count, vehicles, agents, profiles, constants
         )
         desired_speed = desired_speed_of(car, agent, seeking, constants)
+    own_speed = desired_speed
     if has_changer and not has_entered and car.disposition == _ADVERSARIAL:
         headway, scale = constants.adversarial_time_headway, profile.adversarial_braking_scale
         limit = constants.adversarial_max_acceleration
@@ -182,17 +211,15 @@ def _drive_among(
             acceleration = min(acceleration, toward)
     if phase == _ENGAGED:
         lane = agents[car.agent].target_lane
-        for front in (lanes[lane].nearest, lanes[lane].nearest_engaged):
-            if front > NONE:
-                toward = follow(
-                    car, vehicles[front], free_road, limit, headway, scale, profile, constants
-                )
-                acceleration = min(acceleration, max(toward, holding))
+        beyond = _toward_lane(car, profile, own_speed, lanes[lane], vehicles, constants)
+        acceleration = min(acceleration, max(beyond, holding))
+    elif car.moving_over != 0:
+        beyond = _toward_lane(car, profile, own_speed, lanes[car.lane], vehicles, constants)
+        acceleration = min(acceleration, beyond)
+        # It leaves the lane to the changer: no need to brake for who is not there yet.
+        has_changer = has_changer and agents[vehicles[car.changer].agent].target_lane == car.lane
     if has_changer and car.disposition == _COOPERATIVE:
-        headway = constants.cooperative_time_headway
-        yielding = follow(
-            car, vehicles[car.changer], free_road, limit, headway, scale, profile, constants
-        )
+        yielding = yield_to(car, profile, vehicles[car.changer], constants)
         if not has_entered:
             yielding = max(yielding, -constants.cooperative_max_braking)
         acceleration = min(acceleration, yielding)
@@ -231,15 +258,19 @@ def accelerate(
         slot = order[rank]
         car = vehicles[slot]
         profile = profiles[car.profile]
-        if car.lane_low == car.lane_high and car.changer == NONE and car.agent == NONE:
-            front = lanes[car.lane_low].nearest
-            acceleration = _drive_alone(car, profile, front, vehicles, constants)
-        else:
-            acceleration = _drive_among(
-                rank, car, lanes, vehicles, order, road.num_vehicles, agents, profiles, constants
-            )
+        lane = car.lane_low
+        is_alone = lane == car.lane_high and car.changer == NONE and car.agent == NONE
+        if is_alone and car.moving_over == 0:
+            # Most vehicles: nothing else can hold for them.
+            acceleration = drive_alone(car, profile, lanes[lane].nearest, vehicles, constants)
+            car.acceleration = max(acceleration, -constants.max_braking)
+            lanes[lane].nearest = slot
+            continue
+        acceleration = _drive_among(
+            rank, car, lanes, vehicles, order, road.num_vehicles, agents, profiles, constants
+        )
         if car.agent > NONE and constants.has_longitudinal:
-            agents[car.agent].car_following = max(acceleration, -constants.max_braking)
+            agents[car.agent].car_following = attainable(acceleration, car, constants)
             wanted = actions[car.agent, 1]
             acceleration = _drive_by_agent(car, wanted, lanes, vehicles, agents, constants)
         elif car.changer > NONE and constants.num_external > 0:
@@ -248,12 +279,13 @@ def accelerate(
                 wanted = follower_actions[index, 0]
                 acceleration = _drive_external(car, wanted, lanes, vehicles, agents, constants)
         car.acceleration = max(acceleration, -constants.max_braking)
-        lanes[car.lane_low].nearest = slot
-        if car.lane_high != car.lane_low:
-            # A body is narrower than a lane, but it can lie across the road.
-            for lane in range(car.lane_low + 1, car.lane_high + 1):
-                lanes[lane].nearest = slot
-        if car.agent > NONE and agents[car.agent].phase == _ENGAGED:
-            lanes[agents[car.agent].target_lane].nearest_engaged = slot
+        # A body is narrower than a lane, but it can lie across the road.
+        for lane in range(car.lane_low, car.lane_high + 1):
+            lanes[lane].nearest = slot
+        if car.agent > NONE:
+            if agents[car.agent].phase == _ENGAGED:
+                lanes[agents[car.agent].target_lane].nearest_engaged = slot
+        elif car.moving_over != 0:
+            lanes[car.lane].nearest_engaged = slot
     # Departures take the first free slot: vehicles are in the first slots, with gaps.
     prefetch(every_vehicle, after, road.num_vehicles * size, _SPARE_SLOTS * size)

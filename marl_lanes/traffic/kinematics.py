@@ -8,6 +8,12 @@ from marl_lanes.traffic.compiled import compiled, internal
 _KEEPING_MIN_SPEED = 1.0
 """[m/s] Lane keeping divides by the speed; below this it steers as if it went this fast."""
 
+_KEEPING_MAX_LATERAL_SPEED = 1.0
+"""[m/s] How fast lane keeping goes sideways to a lane that is far off."""
+
+_KEEPING_MAX_HEADING = 0.15
+"""[rad] How far it turns from the road's direction for that."""
+
 
 @compiled
 def curvature_at(arcs: Any, position: float) -> float:
@@ -54,7 +60,9 @@ def keep_lane(car: Any, turn_rate: float, constants: Any) -> float:
     """p^3 e/v - 3 p^2 psi - 3 p (omega - c s'), bounded: yaw acceleration [rad/s^2].
 
     Three equal poles at -p of e''' = -v yaw_acceleration, e the distance to the centre of the
-    car's lane, positive to the left.
+    car's lane, positive to the left. |e| counts up to 3/p min(1 m/s, 0.15 v), from where the car
+    goes sideways at 1 m/s or turns 0.15 rad from the road: far from its lane the linear law would
+    be violent.
     """
     error = lane_centre(car.lane, constants.lane_width) - car.lateral_position
     turning = car.yaw_rate - turn_rate
@@ -62,6 +70,8 @@ def keep_lane(car: Any, turn_rate: float, constants: Any) -> float:
         return 0.0
     pole = constants.keeping_pole
     speed = max(car.speed, _KEEPING_MIN_SPEED)
+    reach = 3.0 / pole * min(_KEEPING_MAX_LATERAL_SPEED, _KEEPING_MAX_HEADING * speed)
+    error = min(max(error, -reach), reach)
     steering = pole * pole * (pole * error / speed - 3.0 * car.yaw) - 3.0 * pole * turning
     bound = constants.keeping_max_yaw_acceleration
     return float(min(max(steering, -bound), bound))
@@ -73,12 +83,16 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
 
     v += a dt (not below 0); omega += alpha dt, |omega| <= v/R_min; psi += (omega - c s') dt;
     s += v cos(psi)/(1 - c d) dt; d += v sin(psi) dt. Each line uses what the lines before it gave.
+    Where a bound holds, a or alpha becomes what was applied: (after - before)/dt.
 
     Returns:
         Half of the body's width across the road afterwards, as ``half_extent`` [m].
     """
     step = constants.time_step
-    speed = max(0.0, car.speed + car.acceleration * step)
+    speed = car.speed + car.acceleration * step
+    if speed < 0.0:
+        car.acceleration = (0.0 - car.speed) / step
+        speed = 0.0
     car.speed = speed
     # Most vehicles go straight: one comparison instead of four.
     if abs(car.yaw) + abs(car.yaw_rate) + abs(car.yaw_acceleration) + abs(turn_rate) == 0.0:
@@ -86,7 +100,10 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
         return half_extent(0.0, constants)
     fastest = speed / constants.min_turning_radius
     yaw_rate = car.yaw_rate + car.yaw_acceleration * step
-    car.yaw_rate = min(max(yaw_rate, -fastest), fastest)
+    if abs(yaw_rate) > fastest:
+        yaw_rate = min(max(yaw_rate, -fastest), fastest)
+        car.yaw_acceleration = (yaw_rate - car.yaw_rate) / step
+    car.yaw_rate = yaw_rate
     car.yaw += (car.yaw_rate - turn_rate) * step
     sine, cosine = math.sin(car.yaw), math.cos(car.yaw)
     curvature = curvature_at(arcs, car.position)
@@ -96,6 +113,16 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
     extent = turned_extent(sine, cosine, constants)
     occupy(car, extent, constants)
     return float(extent)
+
+
+@internal
+def attainable(acceleration: float, car: Any, constants: Any) -> float:
+    """The acceleration that a driver who wants this one can have in a step [m/s^2].
+
+    Not below the physical braking limit, nor below what brings the car to a standstill.
+    """
+    stopping = (0.0 - car.speed) / constants.time_step
+    return float(max(acceleration, -constants.max_braking, stopping))
 
 
 @internal

@@ -18,6 +18,7 @@ _WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
 _ABORTING = int(Phase.ABORTING)
 _UNFINISHED = int(Outcome.UNFINISHED)
+_COMPLETED = int(Outcome.COMPLETED)
 
 
 @internal
@@ -73,7 +74,8 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
     for rank in range(road.num_vehicles):
         slot = order[rank]
         car = vehicles[slot]
-        if car.position < car.command_position:
+        # Who is moving over decides afterwards.
+        if car.position < car.command_position or car.moving_over != 0:
             continue
         is_last_step = road.step == constants.horizon_steps > 0
         is_over = road.is_done or is_last_step or road.num_commands == constants.num_agents > 0
@@ -121,13 +123,19 @@ def change_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, const
 
 
 @internal
-def end_command(agent: Any, car: Any, road: Any, outcome: int) -> None:
-    """Record how the command ended; the slot is free again from the next step on."""
-    agent.outcome = outcome
-    agent.phase = _ABSENT
-    car.agent = NONE
-    road.num_live -= 1
-    road.num_ended += 1
+def end_commands(road: Any, vehicles: Any, agents: Any) -> None:
+    """End the commands that have an outcome; their slots are free again from the next step on."""
+    for index in range(agents.shape[0]):
+        agent = agents[index]
+        if agent.phase == _ABSENT or agent.outcome == _UNFINISHED:
+            continue
+        car = vehicles[agent.vehicle]
+        if agent.outcome == _COMPLETED:
+            car.lane = agent.target_lane
+        agent.phase = _ABSENT
+        car.agent = NONE
+        road.num_live -= 1
+        road.num_ended += 1
 
 
 @internal

@@ -32,11 +32,11 @@ def is_body_in(car: Any, lane: int) -> bool:
 
 @internal
 def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
-    """Whether the body overlaps the lane, or the car is engaged toward it."""
+    """Whether the body overlaps the lane, or the car is engaged or moving over toward it."""
     if car.lane_low <= lane <= car.lane_high:
         return True
     if car.agent == NONE:
-        return False
+        return bool(car.moving_over != 0 and car.lane == lane)
     agent = agents[car.agent]
     return bool(agent.phase == _ENGAGED and agent.target_lane == lane)
 
@@ -93,11 +93,22 @@ def neighbors_in_lanes(
 
 
 @internal
-def find_agent_neighbors(agent: Any, order: Any, count: int, vehicles: Any, agents: Any) -> None:
-    """Set the agent's leader and follower in its origin and in its target lane."""
+def find_rank(slot: int, order: Any) -> int:
+    """Place of the vehicle in the order from the front of the road."""
     rank = 0
-    while order[rank] != agent.vehicle:
+    while order[rank] != slot:
         rank += 1
+    return rank
+
+
+@internal
+def find_agent_neighbors(
+    agent: Any, rank: int, order: Any, count: int, vehicles: Any, agents: Any
+) -> None:
+    """Set the agent's leader and follower in its origin and in its target lane.
+
+    ``rank`` is its vehicle's place in the order.
+    """
     agent.leader, agent.target_leader = neighbors_in_lanes(
         rank, -1, agent.origin_lane, agent.target_lane, order, count, vehicles, agents
     )

@@ -15,6 +15,7 @@ from marl_lanes.traffic.state import AGENT, Outcome, Phase, Records, structure
 
 _ABSENT = int(Phase.ABSENT)
 _ENGAGED = int(Phase.ENGAGED)
+_ABORTING = int(Phase.ABORTING)
 _UNFINISHED = int(Outcome.UNFINISHED)
 _FIRST_TRUNCATING = int(Outcome.MISSED)
 
@@ -26,6 +27,8 @@ class Readout(NamedTuple):
     """(E, A): live."""
     engaged: NDArray[np.bool_]
     """(E, A): steering, engaged or aborting."""
+    aborting: NDArray[np.bool_]
+    """(E, A): steering back to the lane that it came from."""
     acting: NDArray[np.bool_]
     """(E, A): its action has an effect."""
     outcome: NDArray[np.int64]
@@ -52,6 +55,7 @@ def read_out(agents: Records, *, acts_waiting: bool) -> Readout:
     readout = Readout(
         mask=np.empty(flat, np.bool_),
         engaged=np.empty(flat, np.bool_),
+        aborting=np.empty(flat, np.bool_),
         acting=np.empty(flat, np.bool_),
         outcome=np.empty(flat, np.int64),
         reward=np.empty(column, np.float32),
@@ -70,7 +74,7 @@ def _kernel() -> Callable[..., None]:
     agents = np.empty((1, 1), structure(AGENT))
     flag, column = np.empty((1, 1), np.bool_), np.empty((1, 1, 1), np.bool_)
     outcome, number = np.empty((1, 1), np.int64), np.empty((1, 1, 1), np.float32)
-    types = (flag, flag, flag, outcome, number, number, column, column, column)
+    types = (flag, flag, flag, flag, outcome, number, number, column, column, column)
     return entry_point(_read, (agents, False, *types))
 
 
@@ -80,6 +84,7 @@ def _read(
     acts_waiting: bool,
     mask: Any,
     engaged: Any,
+    aborting: Any,
     acting: Any,
     outcome: Any,
     reward: Any,
@@ -96,6 +101,7 @@ def _read(
             is_truncated = agent.outcome >= _FIRST_TRUNCATING
             mask[env, slot] = is_live
             engaged[env, slot] = is_steering
+            aborting[env, slot] = agent.phase == _ABORTING
             acting[env, slot] = is_live if acts_waiting else is_steering
             outcome[env, slot] = agent.outcome
             reward[env, slot, 0] = agent.reward

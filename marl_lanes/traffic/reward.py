@@ -17,7 +17,7 @@ def reward(agent: Any, car: Any, deviation: float, turning: float, constants: An
         turning: yaw rate relative to the road's own turning after the step [rad/s].
         constants: the scenario's constants.
 
-    Source: Eq. 10-12.
+    Source: Eq. 10, Eq. 11 and Eq. 12.
     """
     agent.reward_acceleration = -constants.acceleration_weight * abs(car.yaw_acceleration)
     agent.reward_yaw_rate = -constants.yaw_rate_weight * abs(turning)

@@ -47,6 +47,17 @@ class CollisionKind(IntEnum):
     SIDE = 1
 
 
+class Fate(IntEnum):
+    """What a step does with a vehicle."""
+
+    STAYS = 0
+    LEAVES = 1
+    """At the road's end."""
+    COLLIDES = 2
+    STRAYS = 3
+    """Off the road, or across it."""
+
+
 class Disposition(IntEnum):
     """What a driver does behind an engaged changer in its target lane."""
 
@@ -64,13 +75,19 @@ VEHICLE: Table = (
     ("position", "f8", "m", "centre, along the road's right edge"),
     ("lateral_position", "f8", "m", "centre, from the road's right edge, positive to the left"),
     ("speed", "f8", "m/s", "along the vehicle's heading"),
-    ("acceleration", "f8", "m/s^2", "longitudinal, applied in the last step"),
+    ("acceleration", "f8", "m/s^2", "longitudinal, applied in the last step: dv/dt"),
     ("yaw", "f8", "rad", "heading relative to the road, positive to the left"),
     ("yaw_rate", "f8", "rad/s", "turning of the heading, the road's own turning included"),
-    ("yaw_acceleration", "f8", "rad/s^2", "applied in the last step"),
+    ("yaw_acceleration", "f8", "rad/s^2", "applied in the last step: change of yaw_rate/dt"),
     ("desired_speed", "f8", "m/s", "v0 of the car-following law"),
     ("command_position", "f8", "m", "where it may be commanded; inf once that is decided"),
     ("id", "i8", "1", "serial number on this road; -1 where the slot is empty"),
+    (
+        "moving_over",
+        "i8",
+        "1",
+        "while it yields by moving over: +1 from the right, -1 from the left; else 0",
+    ),
     ("lane", "i4", "lane", "the lane that it keeps"),
     ("lane_low", "i4", "lane", "right-most lane that its body overlaps"),
     ("lane_high", "i4", "lane", "left-most lane that its body overlaps"),
@@ -78,7 +95,7 @@ VEHICLE: Table = (
     ("disposition", "i4", "1", "Disposition, or beyond EXTERNAL"),
     ("agent", "i4", "1", "agent slot, -1 where it has no live command"),
     ("changer", "i4", "1", "vehicle slot of the engaged changer it is the follower of, -1 if none"),
-    ("fate", "i4", "1", "within a step: 0 stays, 1 leaves, 2 collides, 3 off the road"),
+    ("fate", "i4", "1", "Fate, of the last step"),
 )
 
 AGENT: Table = (
@@ -88,7 +105,7 @@ AGENT: Table = (
     ("engaged_steps", "i8", "step", "steps that it steered"),
     ("reward", "f8", "1", "of the last step: the sum of the six terms"),
     ("episode_reward", "f8", "1", "sum of the rewards since the command"),
-    ("car_following", "f8", "m/s^2", "what car following alone wanted in the last step"),
+    ("car_following", "f8", "m/s^2", "what car following alone would have done in the last step"),
     ("reward_acceleration", "f8", "1", "Eq. 10"),
     ("reward_yaw_rate", "f8", "1", "Eq. 11"),
     ("reward_deviation", "f8", "1", "Eq. 12"),
@@ -136,6 +153,8 @@ ROAD: Table = (
     ("num_collided", "i8", "1", "vehicles that left by a collision"),
     ("num_removed", "i8", "1", "vehicles removed in the last step, whose slots are not free yet"),
     ("num_collisions", "i8", "1", "collisions recorded since the reset"),
+    ("num_moves_over", "i8", "1", "moves over that followers began since the reset"),
+    ("num_moves_returned", "i8", "1", "of those: taken back before the marking"),
     ("num_commands", "i8", "1", "commands given in this episode"),
     ("num_live", "i8", "1", "agents live now"),
     ("num_ended", "i8", "1", "commands that ended in the last step, whose slots are not free yet"),
@@ -153,7 +172,7 @@ LANE: Table = (
         "1",
         "of the sweep over the vehicles: slot last seen in the lane, -1 if none",
     ),
-    ("nearest_engaged", "i4", "1", "the same, of those engaged toward the lane"),
+    ("nearest_engaged", "i4", "1", "the same, of those engaged or moving over toward the lane"),
 )
 
 COLLISION: Table = (

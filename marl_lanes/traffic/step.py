@@ -22,19 +22,20 @@ from marl_lanes.traffic.maneuver import (
     change_phase,
     clear_agent,
     clear_ended,
-    end_command,
+    end_commands,
     give_commands,
     has_arrived,
     is_off_road,
     is_steering,
     lateral_deviation,
 )
-from marl_lanes.traffic.neighbors import find_agent_neighbors, insert_by_position
+from marl_lanes.traffic.neighbors import find_agent_neighbors, find_rank, insert_by_position
 from marl_lanes.traffic.observation import observe
 from marl_lanes.traffic.pairing import clear_follower, pair
 from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.reward import reward, sum_terms
 from marl_lanes.traffic.state import NONE, Outcome, Phase
+from marl_lanes.traffic.yielding import move_over
 
 STEP = 0
 SKIP = 1
@@ -115,6 +116,7 @@ def judge(
     constants: Any,
 ) -> None:
     """Reward every agent for the step, and end those whose command is over."""
+    has_ended = False
     index, unseen = -1, road.num_live
     while unseen > 0:
         index += 1
@@ -136,12 +138,15 @@ def judge(
         sum_terms(agent, car, constants)
         if outcome == _UNFINISHED:
             continue
-        find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
+        rank = find_rank(agent.vehicle, order)
+        find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
         seen = observations[index]
         observe(agent, road, vehicles, order, agents, arcs, features, constants, profiles, seen)
-        if outcome == _COMPLETED:
-            car.lane = agent.target_lane
-        end_command(agent, car, road, outcome)
+        agent.outcome = outcome
+        has_ended = True
+    if has_ended:
+        # None of them before the last has been seen: who is engaged counts as in its target lane.
+        end_commands(road, vehicles, agents)
 
 
 @internal
@@ -158,19 +163,34 @@ def renew(
 ) -> None:
     """Neighbors, phase and observation of every live agent; who is the follower of whom.
 
-    One after the other, so that a gap accepted by one is taken for the next.
+    Phases change from the front of the road to its rear, so that a gap accepted by one is taken for
+    the next. The rest comes from the state after all of them: no agent slot counts before another.
     """
-    index, unseen = -1, road.num_live
+    has_changed = False
+    rank, unseen = -1, road.num_live
     while unseen > 0:
-        index += 1
-        agent = agents[index]
-        if agent.phase == _ABSENT:
+        rank += 1
+        car = vehicles[order[rank]]
+        if car.agent == NONE:
             continue
         unseen -= 1
-        car = vehicles[agent.vehicle]
-        find_agent_neighbors(agent, order, road.num_vehicles, vehicles, agents)
+        agent = agents[car.agent]
+        find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
+        phase = agent.phase
         turning = car.yaw_rate - road_turn_rate(car, arcs)
         change_phase(agent, vehicles, turning, profiles, constants)
+        has_changed = has_changed or agent.phase != phase
+    rank, unseen = -1, road.num_live
+    while unseen > 0:
+        rank += 1
+        car = vehicles[order[rank]]
+        if car.agent == NONE:
+            continue
+        unseen -= 1
+        index = car.agent
+        agent = agents[index]
+        if has_changed:
+            find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
         seen = observations[index]
         observe(agent, road, vehicles, order, agents, arcs, features, constants, profiles, seen)
         follower = agent.target_follower
@@ -244,9 +264,9 @@ def run(
 ) -> None:
     """Advance the masked roads among ``start`` to ``stop``; the others keep every byte.
 
-    A time step: drive, move, judge, remove, depart, command, renew, pair. It is one function,
-    with one entry point, because the compiler optimises all that a function calls anew at each
-    level.
+    A time step: move over, drive, move, judge, remove, depart, command, renew, pair. It is one
+    function, with one entry point, because the compiler optimises all that a function calls anew at
+    each level.
 
     Args:
         start: first road.
@@ -284,6 +304,8 @@ def run(
             is_first = False
             clear_ended(road, live, seen)
             free_slots(road, cars)
+            if p.is_moving_over_allowed:
+                move_over(road, ranks, cars, live, profiles, arcs, p)
             accelerate(
                 road,
                 lane,

@@ -47,6 +47,8 @@ class ReplayConfig:
     """memory, or memmap: files in the run folder."""
     batch_size: int = MISSING
     """Transitions an update."""
+    rare_share: float = MISSING
+    """Share of these that are drawn among the transitions of changes that were turned back."""
     warmup_transitions: int = MISSING
     """Transitions before the first update."""
 
@@ -309,6 +311,8 @@ def check_learner(config: LearnerConfig, prefix: str = "") -> None:
     _check_seed(prefix + "evaluation.seed", config.evaluation.seed)
     storage = config.replay.storage
     require(storage in {"memory", "memmap"}, prefix + "replay.storage", storage, "memory, memmap")
+    rare_share = config.replay.rare_share
+    require(0.0 <= rare_share < 1.0, prefix + "replay.rare_share", rare_share, "in [0, 1)")
     final_rate = config.optimizer.final_rate
     require(0.0 < final_rate <= 1.0, prefix + "optimizer.final_rate", final_rate, "in (0, 1]")
     loss, exploration = config.loss, config.exploration

@@ -15,7 +15,6 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_
-from torchrl.data import TensorDictReplayBuffer
 from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import HardUpdate
 from tqdm import tqdm
@@ -30,7 +29,7 @@ from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
 from marl_lanes.training.files import write_json
 from marl_lanes.training.interruptions import note_interruptions
-from marl_lanes.training.replay import make_replay
+from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import (
     EVALUATED,
@@ -77,7 +76,7 @@ class Learner:
     """
 
     run: RunFolder
-    replay: TensorDictReplayBuffer
+    replay: Replay
 
     def __init__(
         self,
@@ -167,9 +166,9 @@ class Learner:
             "bytes_per_stored_transition": row.bytes() + index,
         }
 
-    def _make_replay(self, folder: Path) -> TensorDictReplayBuffer:
+    def _make_replay(self, folder: Path) -> Replay:
         size = self.memory["bytes_per_stored_transition"]
-        return make_replay(self.config.replay, folder / REPLAY_FOLDER, size, self.device)
+        return Replay(self.config.replay, folder / REPLAY_FOLDER, size, self.device)
 
     def begin(self, folder: Path) -> None:
         """Start in a new or empty folder.
@@ -265,12 +264,10 @@ class Learner:
         at_once = max(1, ROWS_AT_ONCE // size)
         losses: list[Tensor] = []
         while (left := number - len(losses)) > 0:
-            # One draw of many batches gives the rows that as many draws would give.
-            count = min(left, at_once)
-            rows = self.replay.sample(count * size)
+            rows = self.replay.sample(min(left, at_once))
             if self.config.replay.storage == "memmap":
                 rows = send(rows, self.device)
-            losses += [self._take_step(batch) for batch in rows.reshape(count, size).unbind(0)]
+            losses += [self._take_step(batch) for batch in rows.unbind(0)]
         return torch.stack(losses) if losses else torch.empty(0)
 
     def _take_step(self, batch: TensorDictBase) -> Tensor:
@@ -290,9 +287,8 @@ class Learner:
         """Store a collected batch, make the updates that are due, log both."""
         with self.timed("storing"):
             transitions = live_transitions(batch, self.group)
-            if len(transitions):
-                on_device = self.config.replay.storage == "memory"
-                self.replay.extend(send(transitions, self.device) if on_device else transitions)
+            on_device = self.config.replay.storage == "memory"
+            self.replay.extend(send(transitions, self.device) if on_device else transitions)
             self.counters["transitions"] += len(transitions)
         with self.timed("learning"):
             config = self.config

@@ -1,22 +1,31 @@
-"""The replay buffer: in memory, or in files of the run folder."""
+"""What the updates are drawn from: the newest transitions, and the rare ones once more."""
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayBuffer
 
 from marl_lanes.training.config import ConfigError, ReplayConfig
 from marl_lanes.training.transitions import CPU
 
+RARE = "is_aborting"
+"""The column that says which transitions are rare."""
 
-def make_replay(
-    config: ReplayConfig, folder: Path, bytes_per_transition: float, device: torch.device = CPU
-) -> TensorDictReplayBuffer:
-    """An empty replay buffer.
+
+class Replay:
+    """Two rings: the newest transitions, and the newest of the rare ones.
+
+    A change that is turned back is one of hundreds, and the way back has to be learned as well: of
+    each batch ``rare_share`` are rare ones, as soon as there are so many.
 
     Args:
-        config: its capacity and its storage.
+        config: capacity, batch size, storage, and the share of the rare ones, whose ring has that
+            share of the capacity.
         folder: where ``storage: memmap`` has its files. They are working memory: what an earlier
             process left there is removed, for it may be half written.
         bytes_per_transition: size of a row.
@@ -26,17 +35,88 @@ def make_replay(
         ConfigError: the disk has too little room for the files and for the training state, which
             is a copy of them.
     """
-    shutil.rmtree(folder, ignore_errors=True)
-    if config.storage == "memory":
-        storage = LazyTensorStorage(config.capacity, device=device)
-    else:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        needed = int(2 * config.capacity * bytes_per_transition)
-        free = shutil.disk_usage(folder.parent).free
-        if needed > free:
-            raise ConfigError(
-                f"replay.capacity = {config.capacity}: must fit on the disk of {folder.parent}: "
-                f"the replay buffer and the training state take {needed} bytes, {free} are free"
+
+    def __init__(
+        self,
+        config: ReplayConfig,
+        folder: Path,
+        bytes_per_transition: float,
+        device: torch.device = CPU,
+    ) -> None:
+        self.batch_size = config.batch_size
+        self.num_rare = round(config.rare_share * config.batch_size)
+        capacities = {"newest": config.capacity}
+        if self.num_rare:
+            capacities["rare"] = max(1, round(config.rare_share * config.capacity))
+        shutil.rmtree(folder, ignore_errors=True)
+        if config.storage == "memmap":
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            needed = int(2 * sum(capacities.values()) * bytes_per_transition)
+            free = shutil.disk_usage(folder.parent).free
+            if needed > free:
+                raise ConfigError(
+                    f"replay.capacity = {config.capacity}: must fit on the disk of "
+                    f"{folder.parent}: the replay buffer and the training state take {needed} "
+                    f"bytes, {free} are free"
+                )
+        self.rings = {
+            name: TensorDictReplayBuffer(
+                storage=LazyTensorStorage(capacity, device=device)
+                if config.storage == "memory"
+                else LazyMemmapStorage(capacity, scratch_dir=str(folder / name))
             )
-        storage = LazyMemmapStorage(config.capacity, scratch_dir=str(folder))
-    return TensorDictReplayBuffer(storage=storage)
+            for name, capacity in capacities.items()
+        }
+
+    def __len__(self) -> int:
+        """Transitions in the ring of the newest."""
+        return len(self.rings["newest"])
+
+    def extend(self, transitions: TensorDictBase) -> None:
+        """Add transitions, (N,), over the oldest ones."""
+        if len(transitions):
+            self.rings["newest"].extend(transitions)
+        if "rare" in self.rings and RARE in transitions.keys():  # noqa: SIM118
+            rare = transitions[transitions[RARE]]
+            if len(rare):
+                self.rings["rare"].extend(rare)
+
+    def sample(self, number: int) -> TensorDictBase:
+        """So many batches, (number, batch_size)."""
+        num_rare = self.num_rare
+        if not num_rare or len(self.rings["rare"]) < num_rare:
+            return self._draw("newest", number, self.batch_size)
+        parts = [
+            self._draw("newest", number, self.batch_size - num_rare),
+            self._draw("rare", number, num_rare),
+        ]
+        return torch.cat(parts, dim=1)
+
+    def _draw(self, ring: str, number: int, size: int) -> TensorDictBase:
+        # One draw of many batches gives the rows that as many draws would give.
+        rows: TensorDictBase = self.rings[ring].sample(number * size)
+        return rows.reshape(number, size)
+
+    def state(self) -> dict[str, dict[str, Any]]:
+        """What ``restore`` takes: of each ring its rows by name and where it is written next."""
+        return {
+            name: {"rows": _flat(ring), "writer": ring.writer.state_dict()}
+            for name, ring in self.rings.items()
+        }
+
+    def restore(self, state: Mapping[str, Mapping[str, Any]]) -> None:
+        """Go on from what the state of an equal, filled one was; this one is empty."""
+        for name, ring in self.rings.items():
+            rows = state[name]["rows"]
+            if rows:
+                size = next(iter(rows.values())).shape[0]
+                ring.extend(TensorDict(rows, [size]).unflatten_keys("."))
+            ring.writer.load_state_dict(state[name]["writer"])
+
+
+def _flat(ring: TensorDictReplayBuffer) -> dict[str, Tensor]:
+    """Plain tensors, of files as well: they are written as they are, without a copy in memory."""
+    if not len(ring):
+        return {}
+    stored = ring[:].flatten_keys(".")
+    return {key: value.as_subclass(torch.Tensor) for key, value in stored.items()}

@@ -5,15 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDict
 from torch import nn
-from torchrl.data import TensorDictReplayBuffer
 
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.collectors import TrafficCollector
 from marl_lanes.training.files import write_atomically
+from marl_lanes.training.replay import Replay
 
-_FORMAT = "marl-lanes training state 4"
+_FORMAT = "marl-lanes training state 5"
 
 
 def save_state(
@@ -22,7 +21,7 @@ def save_state(
     counters: dict[str, float],
     loss: nn.Module,
     optimizer: torch.optim.Optimizer,
-    replay: TensorDictReplayBuffer,
+    replay: Replay,
     collector: TrafficCollector,
 ) -> None:
     """Write networks, optimiser, replay buffer, roads, random numbers and counters.
@@ -30,15 +29,12 @@ def save_state(
     Raises:
         WorkerError: a worker has died; the file is the one that it was.
     """
-    stored = replay[:].flatten_keys(".") if len(replay) else {}
     content = {
         "format": _FORMAT,
         "counters": counters,
         "loss": loss.state_dict(),
         "optimizer": optimizer.state_dict(),
-        # Plain tensors, of files as well: they are written as they are, without a copy in memory.
-        "replay": {key: value.as_subclass(torch.Tensor) for key, value in stored.items()},
-        "cursor": replay.writer._cursor,
+        "replay": replay.state(),
         "workers": collector.state(),
         "random": torch.get_rng_state(),
         # A replay buffer in a GPU's memory draws there.
@@ -71,7 +67,7 @@ def restore_state(
     *,
     loss: nn.Module,
     optimizer: torch.optim.Optimizer,
-    replay: TensorDictReplayBuffer,
+    replay: Replay,
     collector: TrafficCollector,
 ) -> None:
     """Put everything back; the random numbers last, for building the others draws some.
@@ -82,11 +78,7 @@ def restore_state(
     collector.restore(content["workers"])
     loss.load_state_dict(content["loss"])
     optimizer.load_state_dict(content["optimizer"])
-    flat = content["replay"]
-    if flat:
-        size = next(iter(flat.values())).shape[0]
-        replay.extend(TensorDict(flat, [size]).unflatten_keys("."))
-    replay.writer._cursor = content["cursor"]
+    replay.restore(content["replay"])
     torch.set_rng_state(content["random"])
     if content["random_cuda"]:
         torch.cuda.set_rng_state_all(content["random_cuda"])

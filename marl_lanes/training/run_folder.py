@@ -31,7 +31,16 @@ EVALUATIONS_FILE = "evaluations.csv"
 CHOICE_FILE = "choice.json"
 """File name of what the saved models are worth by the criterion, and of the best."""
 
-EVALUATED = ("mean_episode_reward", "mean_return", "completion_rate", "mean_num_steps")
+EVALUATED = (
+    "success_rate",
+    "completion_rate",
+    "mean_episode_reward",
+    "mean_return",
+    "mean_num_steps",
+    "lost_after_rate",
+    "collided_after_rate",
+    "left_lane_after_rate",
+)
 """The metrics of each saved model that go into its table."""
 
 

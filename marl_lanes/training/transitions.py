@@ -7,7 +7,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from marl_lanes.envs.batched import FOLLOWERS, GROUP
+from marl_lanes.envs.batched import GROUP
 
 CPU = torch.device("cpu")
 
@@ -28,15 +28,18 @@ def live_transitions(batch: TensorDictBase, group: str = GROUP) -> TensorDict:
     """The transitions of the agents that acted, one row each, for a replay buffer.
 
     Rows are those in which the agent was ``acting``: its action had an effect. ``terminated`` and
-    ``truncated`` are the agent's own; a follower's also terminates with its pairing, after which it
-    is paid nothing more.
+    ``truncated`` are the agent's own, and an attempt that is over terminates, too: a changer's that
+    is back in its lane and waits without acting, a follower's that has lost its changer. What comes
+    after it is another attempt, in a world that the observation does not tell from the present one:
+    a value that looked into it would be a mixture of both.
 
     Args:
         batch: (E, T) from a collector over ``LaneChangeEnv``, or of any shape before the slots.
         group: the group's name.
 
     Returns:
-        (N,) with observation, action and next: observation, reward, done, terminated, truncated.
+        (N,) with observation, action, of changers is_aborting (N,), and next: observation, reward,
+        done, terminated, truncated.
     """
     now, after = batch[group], batch["next", group]
     acting = now["acting"]
@@ -48,10 +51,13 @@ def live_transitions(batch: TensorDictBase, group: str = GROUP) -> TensorDict:
         key: after[key][acting]
         for key in ("observation", "reward", "done", "terminated", "truncated")
     }
-    if group == FOLLOWERS:
-        is_parted = ~after["acting"][acting].unsqueeze(-1)
-        following["done"] = following["done"] | is_parted
-        following["terminated"] = following["terminated"] | is_parted
+    is_over = ~after["acting"][acting].unsqueeze(-1)
+    if group == GROUP:
+        rows["is_aborting"] = now["aborting"][acting]
+        # Missed, and the horizon: the road ends, and not the attempt.
+        is_over &= ~following["truncated"]
+    following["done"] = following["done"] | is_over
+    following["terminated"] = following["terminated"] | is_over
     size = [rows["action"].shape[0]]
     return TensorDict({**rows, "next": TensorDict(following, size)}, size, device=batch.device)
 

@@ -66,7 +66,9 @@ TINY = [
     "hardening.evaluation.criterion=mean_max_follower_braking_all",
 ]
 STATISTICS = {
+    "success_rate",
     "completion_rate",
+    "lost_after_rate",
     "abort_rate",
     "missed_rate",
     "collision_rate",
@@ -166,7 +168,7 @@ def test_a_followers_run_folder_is_complete(single):
     saved = rows(run / "evaluations.csv")
     assert len(saved) >= 3
     assert {row["checkpoint"] for row in saved} == names(run / "checkpoints")
-    assert {"completion_rate", "abort_rate", "collision_rate"} < set(saved[0])
+    assert {"success_rate", "completion_rate", "abort_rate", "collision_rate"} < set(saved[0])
     assert OmegaConf.load(run / "config.yaml").follower.hidden_sizes == [8]
 
 
@@ -223,7 +225,7 @@ def test_the_changer_learns(turns):
 
 def test_the_best_changer_of_a_phase_is_chosen(turns):
     """The changer before the phase is one of them."""
-    assert compose_config().hardening.evaluation.criterion == "completion_rate"
+    assert compose_config().hardening.evaluation.criterion == "success_rate"
     run, _ = turns
     best = []
     for number in (1, 2):

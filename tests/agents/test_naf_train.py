@@ -105,7 +105,14 @@ def test_the_evaluation(whole):
     assert result["num_maneuvers"] == 3
     assert (result["scenario"], result["seed"]) == ("paper", 1_000_000)
     assert result["policy"] == "checkpoints/final.pt"
-    wanted = {"completion_rate", "collision_rate", "abort_rate", "missed_rate", "off_road_rate"}
+    wanted = {
+        "success_rate",
+        "completion_rate",
+        "collision_rate",
+        "abort_rate",
+        "missed_rate",
+        "off_road_rate",
+    }
     wanted |= {"mean_return", "mean_return_acceleration", "mean_return_yaw_rate"}
     wanted |= {"mean_return_deviation", "mean_optimal_return", "cost_ratio", "mean_duration"}
     assert wanted < set(result)

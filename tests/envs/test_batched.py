@@ -73,7 +73,7 @@ def busy():
 
 
 @pytest.mark.parametrize("num_envs", [1, 4])
-@pytest.mark.parametrize("scenario", ["paper", "dense", "curved", "five_lanes", "settled"])
+@pytest.mark.parametrize("scenario", ["paper", "dense", "curved", "five_lanes", "touch"])
 def test_it_passes_torchrls_spec_check(scenario, num_envs):
     env = LaneChangeEnv(scenario, num_envs)
     check_env_specs(env)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from marl_lanes import ScenarioError, load_scenario
-from marl_lanes.evaluation.crossplay import LARGEST, MEANS, RATES, crossplay, drive_pairs, estimate
+from marl_lanes.evaluation.crossplay import EXTREMES, MEANS, RATES, crossplay, drive_pairs, estimate
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.policies import make_lane_keeping_policy
 from marl_lanes.evaluation.rollout import run_maneuvers
@@ -66,10 +66,10 @@ def test_the_statistics_are_the_metrics(table, follower):
     maneuvers = run_maneuvers(scenario, changing, 60, seed=2)
     summary = evaluate(maneuvers, scenario, with_optimum=False)
     found = statistics(table, "changing", follower)
-    assert set(found) == {*RATES, *MEANS, *LARGEST}
+    assert set(found) == {*RATES, *MEANS, *EXTREMES}
     for key, one in found.items():
         assert one["value"] == summary[key], key
-        if key in LARGEST:
+        if key in EXTREMES:
             assert one["low"] is one["high"] is None
         else:
             assert one["low"] <= one["value"] <= one["high"], key

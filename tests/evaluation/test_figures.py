@@ -20,7 +20,7 @@ NAMES = {"loss.png", "returns.png", "saved_models.png"}
 HEADS = {
     "metrics.csv": "transitions,updates,stage,loss,sigma,num_ended,mean_return\n",
     "maneuvers.csv": "transitions,return,outcome\n",
-    "evaluations.csv": "transitions,checkpoint,mean_return,completion_rate,mean_num_steps\n",
+    "evaluations.csv": "transitions,checkpoint,success_rate,completion_rate,mean_return\n",
 }
 
 
@@ -29,7 +29,7 @@ def make_run(path, num_maneuvers=300, *, is_empty=False):
     rows = {
         "metrics.csv": "10,0,1,,0.05,0,\n20,5,1,0.5,0.05,1,-3.0\n30,9,2,0.25,0.04,1,-2.0\n",
         "maneuvers.csv": "".join(f"{i},{-3.0 - (i % 2)},1\n" for i in range(num_maneuvers)),
-        "evaluations.csv": "15,step_1.pt,,0.0,\n30,final.pt,-2.5,1.0,31.0\n",
+        "evaluations.csv": "15,step_1.pt,0.0,0.0,\n30,final.pt,0.75,1.0,-2.5\n",
     }
     for name, head in HEADS.items():
         (path / name).write_text(head + ("" if is_empty else rows[name]), encoding="utf-8")
@@ -81,6 +81,9 @@ def test_the_pictures_of_a_run(tmp_path, drawn):
     assert models.get_ydata()[1] == -2.5
     assert np.isnan(models.get_ydata()[0])
     assert stage_and_optimum(drawn["saved_models.png"]) == ([17], [-2.25])
+    shares = lines(drawn["saved_models.png"], panel=1)
+    assert shares["success"].get_xydata().tolist() == [[15.0, 0.0], [30.0, 75.0]]
+    assert shares["completed"].get_ydata().tolist() == [0.0, 100.0]
 
 
 @pytest.mark.parametrize("num_maneuvers", [1, 7])
@@ -102,7 +105,7 @@ def maneuver(count, rate):
     rows = np.zeros(count, TRACE)
     rows["yaw_rate"] = rate
     rows["yaw_acceleration"] = np.arange(count)
-    return Maneuver(0, 0, Outcome.COMPLETED, 0, 0, 0.0, 1.0, False, -2.0, rows)
+    return Maneuver(0, 0, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows)
 
 
 @pytest.mark.parametrize("count", [0, 5])
@@ -126,13 +129,13 @@ def statistics(value, low=None, high=None):
 
 
 def crossplay_result(time):
-    """Two changers, three kinds of follower; completed by 0.0, 0.1, ... 0.5."""
+    """Two changers, three kinds of follower; success of 0.0, 0.1, ... 0.5."""
     pairs = []
     for number, (changer, follower) in enumerate(
         (changer, follower) for changer in ("one", "two") for follower in ("kind", "none", "rude")
     ):
         found = {
-            "completion_rate": statistics(number / 10, 0.0, 0.875),
+            "success_rate": statistics(number / 10, 0.0, 0.875),
             "abort_or_miss_rate": statistics(0.25, 0.2, 0.3),
             "collision_rate": statistics(0.01, 0.0, 0.02),
             "mean_time_to_completion": time,
@@ -155,20 +158,20 @@ def test_a_crossplay_is_four_heat_maps(tmp_path, drawn, time):
     assert [file.name for file in path.parent.iterdir()] == ["pairs.png"]
     panels = [axes for axes in drawn["pairs.png"].axes if axes.get_images() and axes.get_title()]
     assert [axes.get_title() for axes in panels] == [
-        "completed [%]",
+        "success [%]",
         "aborted or missed [%]",
         "collided [%]",
         "time to complete [s]",
     ]
-    completed, aborted, collided, took = panels
+    success, aborted, collided, took = panels
     for axes in panels:
         assert [text.get_text() for text in axes.get_xticklabels()] == ["kind", "none", "rude"]
         assert [text.get_text() for text in axes.get_yticklabels()] == ["one", "two"]
         assert len(axes.texts) == 6
     # Row by row: a changer's row, a follower's column.
-    values = np.asarray(completed.get_images()[0].get_array())
+    values = np.asarray(success.get_images()[0].get_array())
     assert values == pytest.approx(np.array([[0.0, 10.0, 20.0], [30.0, 40.0, 50.0]]))
-    cells = {text.get_position(): text.get_text() for text in completed.texts}
+    cells = {text.get_position(): text.get_text() for text in success.texts}
     assert cells[2, 0] == "20.0\n[0.0, 87.5]"
     assert cells[0, 1] == "30.0\n[0.0, 87.5]"
     assert {text.get_text() for text in aborted.texts} == {"25.0\n[20.0, 30.0]"}
@@ -177,7 +180,7 @@ def test_a_crossplay_is_four_heat_maps(tmp_path, drawn, time):
     # Colours span what is usual at least: 1 % of collisions does not look like 100 %.
     assert collided.get_images()[0].get_clim() == (0.0, 10.0)
     assert aborted.get_images()[0].get_clim() == (0.0, 25.0)
-    assert completed.get_images()[0].get_clim() == (0.0, 100.0)
+    assert success.get_images()[0].get_clim() == (0.0, 100.0)
 
 
 def test_the_gap_under_every_kind_of_follower(tmp_path, drawn):

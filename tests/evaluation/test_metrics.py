@@ -5,44 +5,16 @@ import math
 
 import numpy as np
 import pytest
+from traces import maneuver, trace
 
 from marl_lanes import load_scenario
-from marl_lanes.evaluation.metrics import AVERAGES, evaluate, measure, summarise
-from marl_lanes.evaluation.rollout import TRACE, Maneuver
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.evaluation.aftermath import Aftermath
+from marl_lanes.evaluation.measures import measure
+from marl_lanes.evaluation.metrics import AVERAGES, HARD_BRAKING, evaluate, summarise
+from marl_lanes.traffic.state import Fate, Outcome, Phase
 
-PAPER = load_scenario("paper")
-
-
-def trace(count, **columns):
-    """Rows at 20 m/s in the middle of nowhere, but for ``columns``."""
-    rows = np.zeros(count, TRACE)
-    rows["step"] = np.arange(1, count + 1)
-    rows["phase"] = Phase.ENGAGED
-    rows["speed"] = 20.0
-    rows["deviation_before"] = 3.75
-    rows["leader_gap"] = rows["follower_gap"] = rows["follower_gap_before"] = np.inf
-    for name in ("leader_speed", "follower_speed", "follower_acceleration"):
-        rows[name] = np.nan
-    for name, values in columns.items():
-        rows[name] = values
-    return rows
-
-
-def maneuver(rows, outcome=Outcome.MISSED, **changes):
-    values = {
-        "env": 0,
-        "command": 0,
-        "outcome": outcome,
-        "num_aborts": 0,
-        "born_step": 0,
-        "waiting_time": 1.5,
-        "time_to_end": 9.0,
-        "has_side_collision": False,
-        "episode_reward": -4.5,
-        "trace": rows,
-    }
-    return Maneuver(**(values | changes))
+TOUCH = {"max_deviation": 0.2, "max_lateral_speed": None, "max_yaw_rate": None}
+PAPER = load_scenario("paper", {"completion": TOUCH})
 
 
 def measured(count=3, outcome=Outcome.MISSED, changes=None, **columns):
@@ -75,6 +47,8 @@ def test_peaks_are_relative_to_the_road():
     assert found.peak_yaw_acceleration == 0.45
     assert found.peak_yaw_rate == pytest.approx(0.04)
     assert found.peak_lateral_acceleration == pytest.approx(0.8)
+    # With the road's: 10 * 0.05, 20 * -0.02, 30 * 0.03.
+    assert found.peak_total_lateral_acceleration == pytest.approx(0.9)
 
 
 @pytest.mark.parametrize(
@@ -94,42 +68,49 @@ def test_jerk_is_averaged_over_half_a_second(lateral, jerk):
     assert found.peak_lateral_jerk == pytest.approx(jerk)
 
 
-def test_overshoot_is_what_lies_beyond_the_centre():
-    def overshoot(values, outcome=Outcome.COMPLETED):
-        changes = {"residual_deviation": values}
-        rows = maneuver(trace(3), outcome, **changes)
-        return measure(rows, PAPER, with_optimum=False).residual_overshoot
-
-    assert overshoot([-0.2, -0.1, 0.35, 0.1]) == 0.35
-    assert overshoot([-0.2, -0.1]) == 0.0
-    assert overshoot([]) == 0.0
-    assert math.isnan(overshoot([0.5], Outcome.MISSED))
-
-
 @pytest.mark.parametrize(
-    ("columns", "expected"),
+    ("accelerations", "jerk"),
     [
-        ({}, math.inf),
-        ({"leader_gap": 30.0, "leader_speed": 15.0}, 6.0),
-        ({"leader_gap": 30.0, "leader_speed": 25.0}, math.inf),
-        ({"leader_gap": [30.0, 8.0, 50.0], "leader_speed": [15.0, 18.0, 10.0]}, 4.0),
-        ({"follower_gap": 30.0, "follower_speed": 25.0}, 6.0),
-        ({"follower_gap": 30.0, "follower_speed": 20.0}, math.inf),
-        ({"follower_gap": -2.0, "follower_speed": 25.0}, math.inf),
-        ({"leader_gap": [0.0, -1.0, 10.0], "leader_speed": 15.0}, 2.0),
-        (
-            {
-                "leader_gap": 30.0,
-                "leader_speed": 15.0,
-                "follower_gap": 10.0,
-                "follower_speed": 25.0,
-            },
-            2.0,
-        ),
+        # Averaged over a second: a jump by 2 m/s^2 is 2 m/s^3, and so is a ramp of a second.
+        ([-2.0] * 3, 2.0),
+        (np.linspace(-0.2, -2.0, 10), 2.0),
+        ([1.0] * 10 + [-1.0] * 2, 2.0),
+        ([1.0] * 5 + [-1.5] * 2, 1.5),
     ],
 )
-def test_time_to_collision(columns, expected):
-    assert measured(**columns).min_time_to_collision == pytest.approx(expected)
+def test_longitudinal_jerk_is_averaged_over_a_second(accelerations, jerk):
+    found = measured(len(accelerations), acceleration=accelerations)
+    assert found.peak_longitudinal_jerk == pytest.approx(jerk)
+
+
+def test_jerk_does_not_bridge_two_attempts():
+    """What lies between them was not recorded: the second begins with what was before it."""
+    steps = [1, 2, 3, 40, 41, 42]
+    columns = {
+        "step": steps,
+        "yaw_rate": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
+        "yaw_rate_before": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
+        "acceleration": [0.0, 0.0, 0.0, -3.0, -3.0, -3.0],
+        "acceleration_before": [0.0, 0.0, 0.0, -2.5, -3.0, -3.0],
+    }
+    found = measured(6, **columns)
+    assert found.peak_lateral_jerk == 0.0
+    assert found.peak_longitudinal_jerk == pytest.approx(0.5)
+    together = measured(6, **(columns | {"step": np.arange(6)}))
+    assert together.peak_lateral_jerk == pytest.approx(4.0)
+    assert together.peak_longitudinal_jerk == pytest.approx(3.0)
+    assert math.isnan(measured(0).peak_lateral_jerk)
+
+
+def test_what_became_of_it():
+    deviation = np.array([0.1, 0.3, -0.25, 0.1])
+    aftermath = Aftermath(-0.5, has_left_lane=True, watched_time=0.3, deviation=deviation)
+    found = measured(outcome=Outcome.COMPLETED, changes={"aftermath": aftermath}).after
+    assert (found.is_good, found.is_lost, found.has_collided) == (False, False, False)
+    assert (found.has_left_lane, found.watched_time) == (True, 0.3)
+    assert (found.lateral_speed_at_completion, found.peak_deviation_after) == (0.5, 0.3)
+    assert found.settling_time == pytest.approx(0.3)
+    assert measured().after is None
 
 
 @pytest.mark.parametrize(
@@ -147,31 +128,6 @@ def test_follower_braking(acceleration, expected):
 def test_the_changers_own_braking(acceleration, expected):
     assert measured(acceleration=acceleration).max_changer_braking == expected
     assert math.isnan(measured(0).max_changer_braking)
-
-
-@pytest.mark.parametrize(
-    ("speed", "follower", "critical"),
-    [
-        # UN R79's example: 130 km/h behind 100 km/h.
-        (100.0 / 3.6, 130.0 / 3.6, 42.7),
-        (20.0, 20.0, 20.0),
-        (20.0, 10.0, 20.0),
-        (20.0, 26.0, 20.0 + 2.4 + 6.0),
-    ],
-)
-def test_the_critical_distance(speed, follower, critical):
-    def is_violated(gap, **changes):
-        columns = {"is_over_marking": True, "speed": speed, "follower_speed": follower}
-        return measured(**(columns | {"follower_gap": gap} | changes)).is_s_critical_violated
-
-    assert is_violated(critical - 0.05) == 1.0
-    assert is_violated(critical + 0.05) == 0.0
-    assert math.isnan(is_violated(critical - 0.05, is_over_marking=False))
-    assert math.isnan(is_violated(np.inf))
-    # Only the first row at the marking counts.
-    over = [False, True, True]
-    assert is_violated([1.0, critical + 0.05, 1.0], is_over_marking=over) == 0.0
-    assert is_violated([99.0, critical - 0.05, 99.0], is_over_marking=over) == 1.0
 
 
 def test_the_optimum_is_of_the_last_attempt():
@@ -206,7 +162,7 @@ def sample():
         acceleration=-6.0,
     )
     return [
-        maneuver(completed, Outcome.COMPLETED, num_aborts=2, residual_deviation=[0.125]),
+        maneuver(completed, Outcome.COMPLETED, num_aborts=2),
         maneuver(collided, Outcome.COLLISION, has_side_collision=True, num_aborts=1),
         maneuver(trace(0), Outcome.MISSED, waiting_time=6.0, episode_reward=-0.5),
         maneuver(trace(2), Outcome.OFF_ROAD, waiting_time=0.0),
@@ -216,7 +172,7 @@ def sample():
 def test_the_summary_counts_and_averages():
     found = evaluate(sample(), PAPER)
     assert found["num_maneuvers"] == 4
-    for name in ("completion", "collision", "steering_collision", "missed", "off_road"):
+    for name in ("success", "completion", "collision", "steering_collision", "missed", "off_road"):
         assert found[f"{name}_rate"] == 0.25, name
     assert found["horizon_rate"] == 0.0
     assert found["abort_rate"] == 0.5
@@ -235,14 +191,85 @@ def test_the_summary_counts_and_averages():
     assert found["mean_duration"] == pytest.approx(3.0)
     assert found["mean_waiting_time"] == pytest.approx((1.5 + 1.5 + 6.0) / 4)
     assert found["mean_time_to_completion"] == 9.0
-    assert found["mean_residual_overshoot"] == found["max_residual_overshoot"] == 0.125
     assert found["mean_max_follower_braking"] == found["max_follower_braking"] == 0.5
     assert found["mean_max_changer_braking"] == found["max_changer_braking"] == 0.25
     # Of all with a follower: the completed one and the one that collided.
     assert found["mean_max_follower_braking_all"] == 1.0
     assert found["max_follower_braking_all"] == 1.5
     assert found["min_time_to_collision"] == pytest.approx(2.0)
+    assert found["median_min_time_to_collision"] == pytest.approx(2.0)
+    assert found["critical_time_to_collision_rate"] == 0.0
     assert found["s_critical_violation_rate"] is None
+
+
+def test_success_is_what_lasts():
+    """Of eight: four completed, one of them each lost, in a collision, and out of its lane."""
+    bad = Aftermath(2.5, Fate.STRAYS, has_left_lane=True, watched_time=0.5)
+    hit = Aftermath(0.5, Fate.COLLIDES, watched_time=1.5)
+    away = Aftermath(0.5, has_left_lane=True, watched_time=10.0)
+    good = Aftermath(0.5, Fate.LEAVES, watched_time=8.0)
+    rows = [maneuver(trace(1), Outcome.COMPLETED, aftermath=one) for one in (bad, hit, away, good)]
+    rows += [maneuver(trace(0))] * 4
+    found = evaluate(rows, PAPER, with_optimum=False)
+    assert list(found)[:4] == ["num_maneuvers", "success_rate", "completion_rate", "cost_ratio"]
+    assert (found["success_rate"], found["completion_rate"]) == (0.125, 0.5)
+    assert found["success_of_completed_rate"] == 0.25
+    assert found["lost_after_rate"] == found["collided_after_rate"] == 0.25
+    assert found["left_lane_after_rate"] == found["unsettled_after_rate"] == 0.5
+    assert found["mean_watched_time"] == 5.0
+    assert found["mean_lateral_speed_at_completion"] == 1.0
+    assert found["max_lateral_speed_at_completion"] == 2.5
+    missed = evaluate(rows[4:], PAPER, with_optimum=False)
+    assert missed["success_rate"] == 0.0
+    assert missed["success_of_completed_rate"] is None
+
+
+def test_shares_of_hard_braking():
+    """Of the completed ones: who brakes, how hard, before or after the marking."""
+    over = [False, True, True]
+
+    def one(outcome=Outcome.COMPLETED, **columns):
+        return maneuver(trace(3, is_over_marking=over, **columns), outcome)
+
+    rows = [
+        one(acceleration=[-2.5, 0.0, -1.0]),
+        # At the limit, up to the rounding of a speed.
+        one(acceleration=[0.0, 0.0, -7.9999999], follower_acceleration=[-4.5, 0.0, 0.0]),
+        one(follower_acceleration=[0.0, -1.0, -2.0]),
+        one(),
+        one(Outcome.COLLISION, acceleration=-8.0),
+    ]
+    found = evaluate(rows, PAPER, with_optimum=False)
+
+    def shares(prefix):
+        return [found[f"{prefix.format(limit)}_rate"] for limit in HARD_BRAKING]
+
+    assert HARD_BRAKING == (2, 4, 8)
+    assert shares("braking_reaches_{}") == [0.75, 0.25, 0.25]
+    assert shares("changer_braking_reaches_{}_before_marking") == [0.25, 0.0, 0.0]
+    assert shares("changer_braking_reaches_{}_after_marking") == [0.25, 0.25, 0.25]
+    assert shares("follower_braking_reaches_{}_before_marking") == [0.25, 0.25, 0.0]
+    assert shares("follower_braking_reaches_{}_after_marking") == [0.25, 0.0, 0.0]
+
+
+def test_safety_is_of_all_maneuvers():
+    rows = [
+        maneuver(trace(2, follower_gap=10.0, follower_speed=25.0, imposed_on_follower=1.0)),
+        maneuver(trace(2, follower_gap=2.5, follower_speed=25.0, imposed_on_follower=3.0)),
+        maneuver(trace(2)),
+        maneuver(trace(0)),
+    ]
+    found = evaluate(rows, PAPER, with_optimum=False)
+    assert found["mean_imposed_on_follower"] == 2.0
+    assert found["max_imposed_on_follower"] == 3.0
+    assert found["mean_drac"] == pytest.approx((1.25 + 5.0) / 3.0)
+    assert found["max_drac"] == pytest.approx(5.0)
+    assert found["mean_time_exposed"] == pytest.approx(0.2 / 3.0)
+    assert found["critical_time_to_collision_rate"] == pytest.approx(1.0 / 3.0)
+    assert found["min_time_to_collision"] == 0.5
+    assert found["min_time_to_collision_target_follower"] == 0.5
+    assert found["min_time_to_collision_target_leader"] is None
+    assert found["median_min_time_to_collision"] == pytest.approx(1.25)
 
 
 def test_means_and_largest_are_over_the_completed_ones():

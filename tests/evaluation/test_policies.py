@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from marl_lanes import ScenarioError, load_scenario
-from marl_lanes.evaluation.policies import make_lane_keeping_policy, make_random_policy
+from marl_lanes.evaluation.policies import (
+    make_lane_keeping_policy,
+    make_random_policy,
+    make_tuned_cascade_policy,
+)
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.traffic.state import Outcome
 
@@ -66,11 +70,38 @@ def test_lane_keeping_finds_its_features_in_any_order():
 
 
 @pytest.mark.parametrize("missing", ["speed", "lateral_deviation", "yaw", "yaw_rate", "curvature"])
-def test_lane_keeping_names_the_feature_that_it_lacks(missing):
-    features = [name for name in FEATURES if name != missing]
+@pytest.mark.parametrize("name", ["lane-keeping", "tuned-cascade"])
+def test_a_steering_policy_names_the_feature_that_it_lacks(missing, name):
+    features = [feature for feature in FEATURES if feature != missing]
     other = load_scenario("paper", {"observation": {"features": features}})
-    with pytest.raises(ScenarioError, match=rf"'paper'.*must hold \['{missing}'\]"):
-        make_lane_keeping_policy(other)
+    makers = {"lane-keeping": make_lane_keeping_policy, "tuned-cascade": make_tuned_cascade_policy}
+    with pytest.raises(ScenarioError, match=rf"'paper'.*must hold \['{missing}'\] .*{name}"):
+        makers[name](other)
+
+
+def test_the_tuned_cascade_by_hand():
+    act = make_tuned_cascade_policy(PAPER)
+    rows = [
+        [20.0, 0.0, 3.75, 0.0, 0.0, 0.0],
+        [20.0, 0.0, 1.0, 0.04, 0.03, 0.001],
+        [20.0, 0.0, 0.05, 0.0, 0.001, 0.0],
+    ]
+    # w_ref = 0.5/20 tanh((dev/1.53^2 - 2 0.687 20 yaw/1.53) / 0.5), the threshold 0.02.
+    reference = [
+        0.025 * np.tanh(3.75 / 1.53**2 / 0.5),
+        0.025 * np.tanh((1.0 / 1.53**2 - 2 * 0.687 * 20.0 * 0.04 / 1.53) / 0.5),
+    ]
+    demand = [reference[0] / 0.13 - 0.02, (reference[1] - 0.03 + 0.02) / 0.13 + 0.02]
+    wanted = [*(0.5 * np.tanh(np.array(demand) / 0.5)), 0.0]
+    assert act(np.asarray(rows, np.float32))[:, 0] == pytest.approx(wanted, rel=1e-5)
+    assert act(np.zeros((0, 6), np.float32)).shape == (0, 1)
+
+
+def test_the_tuned_cascade_changes_lanes_and_settles():
+    maneuvers = run_maneuvers(PAPER, make_tuned_cascade_policy(PAPER), 30, seed=1)
+    ended = [one.outcome for one in maneuvers]
+    assert ended.count(Outcome.COMPLETED) >= 28
+    assert set(ended) <= {Outcome.COMPLETED, Outcome.MISSED}
 
 
 def test_random_is_seeded_and_within_the_bound():
@@ -97,12 +128,13 @@ BOTH = load_scenario(
 )
 
 
-def test_lane_keeping_with_two_actions_follows_the_car_ahead():
+def test_a_steering_policy_with_two_actions_follows_the_car_ahead():
     rows = np.asarray([[20.0, 0.0, 3.85, 0.01, 0.02, 0.001]] * 4, np.float32)
     wanted = np.asarray([[0.75], [-1.25], [9.0], [-9.0]], np.float32)
-    actions = make_lane_keeping_policy(BOTH)(np.hstack([rows, wanted]))
-    assert actions[:, :1] == pytest.approx(make_lane_keeping_policy(PAPER)(rows))
-    assert actions[:, 1].tolist() == [0.75, -1.25, 1.5, -2.5]
+    for make in (make_lane_keeping_policy, make_tuned_cascade_policy):
+        actions = make(BOTH)(np.hstack([rows, wanted]))
+        assert actions[:, :1] == pytest.approx(make(PAPER)(rows))
+        assert actions[:, 1].tolist() == [0.75, -1.25, 1.5, -2.5]
     assert make_lane_keeping_policy(BOTH)(np.zeros((0, 7), np.float32)).shape == (0, 2)
 
 

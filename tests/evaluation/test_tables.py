@@ -2,13 +2,14 @@
 
 import pytest
 
-from marl_lanes.evaluation.crossplay import LARGEST, MEANS, RATES
+from marl_lanes.evaluation.crossplay import EXTREMES, MEANS, RATES
 from marl_lanes.evaluation.tables import (
     CROSSPLAY_ROWS,
     WIDTH,
     format_crossplay,
     format_estimate,
     format_gaps,
+    format_summary,
     format_table,
 )
 
@@ -29,6 +30,29 @@ def test_an_estimate(estimate, options, text):
     ) == (text)
 
 
+def test_a_summary_is_a_line_for_every_key():
+    text = format_summary({"policy": "x", "success_rate": 0.984375, "cost_ratio": 1.0, "n": 3})
+    assert [line.split() for line in text.splitlines()] == [
+        ["policy", "x"],
+        ["success_rate", "0.98438"],
+        ["cost_ratio", "1"],
+        ["n", "3"],
+    ]
+
+
+@pytest.mark.parametrize("shown", ["cost_ratio", "completion_rate"])
+@pytest.mark.parametrize("success", [{}, {"success_rate": None}])
+def test_no_cost_and_no_completion_is_shown_without_success(shown, success):
+    with pytest.raises(ValueError, match=f"success_rate = None: must be given where {shown}"):
+        format_summary({shown: 1.0} | success)
+    assert format_summary({shown: None} | success)
+    assert format_summary({shown: 1.0, "success_rate": 0.0})
+
+
+def test_a_crossplay_shows_success_first():
+    assert [row[0] for row in CROSSPLAY_ROWS[:2]] == ["success_rate", "completion_rate"]
+
+
 def result(changers, followers):
     """Every rate has the number of its pair in percent."""
     pairs = [
@@ -37,7 +61,7 @@ def result(changers, followers):
             "followers": follower,
             "statistics": {
                 key: {"value": number / 100.0, "low": 0.0, "high": 0.5}
-                for key in (*RATES, *MEANS, *LARGEST)
+                for key in (*RATES, *MEANS, *EXTREMES)
             },
         }
         for number, (changer, follower) in enumerate((a, b) for a in changers for b in followers)
@@ -53,8 +77,8 @@ def result(changers, followers):
 
 
 def test_every_statistic_of_a_crossplay_is_a_row():
-    assert [row[0] for row in CROSSPLAY_ROWS if row[0] in (*RATES, *MEANS, *LARGEST)]
-    assert {row[0] for row in CROSSPLAY_ROWS} == {*RATES, *MEANS, *LARGEST}
+    assert [row[0] for row in CROSSPLAY_ROWS if row[0] in (*RATES, *MEANS, *EXTREMES)]
+    assert {row[0] for row in CROSSPLAY_ROWS} == {*RATES, *MEANS, *EXTREMES}
 
 
 def test_a_crossplay():

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:No target network updater:UserWa
 
 
 @pytest.mark.parametrize(
-    "mu", ["paper", "damped", "mlp", "paper+idm", "damped+idm", "paper+mlp", "damped+mlp"]
+    "mu", ["cascade", "paper", "damped", "mlp", "cascade+idm", "paper+mlp", "damped+idm"]
 )
 @pytest.mark.parametrize("mu_frozen", [False, True])
 def test_nothing_stays_on_the_cpu(mu, mu_frozen):
@@ -33,6 +33,7 @@ def test_nothing_stays_on_the_cpu(mu, mu_frozen):
     network.mu_frozen = mu_frozen
     loss = NAFLoss(network)
     loss.make_value_estimator(gamma=0.9)
+    assert {one.device for one in loss.state_dict().values()} == {META}
     ends = {key: torch.zeros(4, 1, dtype=torch.bool, device=META) for key in ("done", "terminated")}
     observation = torch.zeros(4, len(FEATURES), device=META)
     following = {"observation": observation, "reward": torch.zeros(4, 1, device=META), **ends}

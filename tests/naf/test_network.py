@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 
 import marl_lanes.naf.network
 from marl_lanes.naf import NAFNetwork
-from marl_lanes.naf.mu import DampedMu, PaperMu
+from marl_lanes.naf.mu import LATERAL
 
 EXTREMES = (1e30, 4.0, 0.0, -4.0, -1e30)
 
@@ -62,7 +62,7 @@ def test_m_is_negative_definite_at_extreme_logits(actions):
     assert logits.grad.isfinite().all()
 
 
-@pytest.mark.parametrize("mu", ["paper", "damped", "mlp"])
+@pytest.mark.parametrize("mu", ["cascade", "paper", "damped", "mlp"])
 @pytest.mark.parametrize("extreme", [1e30, -1e30])
 def test_gradients_are_finite_at_extreme_logits(mu, extreme):
     network = make_network(mu)
@@ -227,7 +227,7 @@ def is_plain(value):
     return type(value) in (str, int, float, bool, type(None))
 
 
-@pytest.mark.parametrize("mu", ["paper", "damped", "mlp"])
+@pytest.mark.parametrize("mu", ["cascade", "paper", "damped", "mlp"])
 def test_config_round_trip(mu, tmp_path):
     network = stir(make_network(mu, observation_key=("changers", "observation"), bound=0.3))
     assert is_plain(network.config)
@@ -244,10 +244,9 @@ def test_config_round_trip(mu, tmp_path):
         torch.testing.assert_close(first[key], second[key], rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("mu", [PaperMu, DampedMu])
-def test_a_missing_column_is_named(mu):
-    name = {PaperMu: "paper", DampedMu: "damped"}[mu]
-    for feature in mu.needs:
+@pytest.mark.parametrize("name", LATERAL)
+def test_a_missing_column_is_named(name):
+    for feature in LATERAL[name].needs:
         features = [other for other in PAPER if other != feature]
         with pytest.raises(ValueError, match=f"'{name}' needs the feature '{feature}'"):
             NAFNetwork(features, [-0.5], [0.5], mu=name)
@@ -256,10 +255,10 @@ def test_a_missing_column_is_named(mu):
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"mu": "linear"}, "unknown mu 'linear', allowed: paper, damped, mlp"),
+        ({"mu": "linear"}, "unknown mu 'linear', allowed: cascade, paper, damped, .*mlp"),
         (
             {"mu": "paper", "actions": 2},
-            "'paper' gives one action.*box has 2; allowed: paper.idm, .*mlp",
+            "'paper' gives one action.*box has 2; allowed: cascade.idm, .*mlp",
         ),
         ({"mu": "damped", "actions": 3}, "'damped' gives one action.*box has 3; allowed: mlp"),
         ({"bound": -1.0}, "action_low < action_high"),

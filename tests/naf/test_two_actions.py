@@ -13,7 +13,8 @@ from tensordict import TensorDict
 from torch import nn
 
 from marl_lanes.naf import NAFNetwork
-from marl_lanes.naf.mu import CarFollowingMu, ComposedMu, DampedMu, MLPMu, PaperMu
+from marl_lanes.naf.lateral import CascadeMu, DampedMu, PaperMu
+from marl_lanes.naf.mu import CarFollowingMu, ComposedMu, MLPMu
 
 FEATURES = [
     "speed",
@@ -25,7 +26,7 @@ FEATURES = [
 ]
 LOW, HIGH = [-0.5, -3.0], [0.5, 2.0]
 HALF_RANGE = np.array([0.5, 2.5])
-LATERAL = {"paper": PaperMu, "damped": DampedMu}
+LATERAL = {"cascade": CascadeMu, "paper": PaperMu, "damped": DampedMu}
 LONGITUDINAL = {"idm": CarFollowingMu, "mlp": MLPMu}
 COMPOSED = [f"{first}+{second}" for first in LATERAL for second in LONGITUDINAL]
 
@@ -310,14 +311,14 @@ def test_a_missing_column_is_named(mu):
     "mu", ["idm", "paper+", "+idm", "paper+damped", "mlp+idm", "paper+idm+mlp", "paper + idm", ""]
 )
 def test_an_unknown_name_lists_those_allowed(mu):
-    allowed = ", ".join(["paper", "damped", "mlp", *COMPOSED])
+    allowed = ", ".join([*LATERAL, *COMPOSED, "mlp"])
     with pytest.raises(ValueError, match=re.escape(f"unknown mu '{mu}', allowed: {allowed}") + "$"):
         make_network(mu)
 
 
 @pytest.mark.parametrize("actions", [1, 2, 3])
 def test_a_name_for_another_number_of_actions(actions):
-    allowed = {1: ["paper", "damped", "mlp"], 2: [*COMPOSED, "mlp"], 3: ["mlp"]}[actions]
+    allowed = {1: [*LATERAL, "mlp"], 2: [*COMPOSED, "mlp"], 3: ["mlp"]}[actions]
     for mu in {*LATERAL, *COMPOSED, "mlp"} - set(allowed):
         start, end = f"mu '{mu}' gives ", f" has {actions}; allowed: {', '.join(allowed)}"
         with pytest.raises(ValueError, match=f"^{re.escape(start)}.*{re.escape(end)}$"):

@@ -53,7 +53,7 @@ def written(tmp_path, text):
 def test_the_shipped_scenarios_are_listed():
     names = list_scenarios()
     assert names == sorted(names)
-    expected = {"paper", "dense", "curved", "cooperative", "adversarial", "settled", "five_lanes"}
+    expected = {"paper", "dense", "curved", "cooperative", "adversarial", "touch", "five_lanes"}
     assert expected <= set(names)
 
 

@@ -147,6 +147,42 @@ def test_adversarial_keeps_a_shorter_headway_to_its_own_leader():
     assert simulator.vehicles[0, 0]["acceleration"] == pytest.approx(3.0 * (1.0 - 0.75**2))
 
 
+@pytest.mark.parametrize(
+    ("phase", "expected"), [(Phase.WAITING, 0.0), (Phase.ENGAGED, law(20.0, 30.0, 0.0))]
+)
+def test_closing_a_gap_does_not_change_what_a_driver_does_for_its_own_target_lane(phase, expected):
+    """An adversarial driver with a command, behind a changer.
+
+    Engaged, it follows the target lane's leader with a_m, T and v0 of its profile; waiting, it
+    keeps the pace of the gap that it is in.
+    """
+    simulator = simulator_of(road={"num_lanes": 4})
+    stage(
+        simulator,
+        {"lane": 2, "position": 100.0, "disposition": Disposition.ADVERSARIAL, "changer": 1},
+        {"lane": 3, "position": 200.0},
+        {"lane": 1, "position": 134.8, "speed": 20.0},
+    )
+    command(simulator, 0, -1, phase)
+    command(simulator, 1, -1, Phase.ENGAGED)
+    simulator.step()
+    assert simulator.vehicles[0, 0]["acceleration"] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_waiting_adversarial_driver_still_closes_the_gap():
+    simulator = simulator_of(road={"num_lanes": 4}, gap={"minimum_gap": 500.0})
+    stage(
+        simulator,
+        {"lane": 2, "position": 100.0, "disposition": Disposition.ADVERSARIAL, "changer": 1},
+        {"lane": 3, "position": 200.0},
+    )
+    command(simulator, 0, -1, Phase.WAITING)
+    command(simulator, 1, -1, Phase.ENGAGED)
+    simulator.step()
+    expected = 3.0 * (1.0 - (20.0 / 39.0) ** 4)
+    assert simulator.vehicles[0, 0]["acceleration"] == pytest.approx(expected)
+
+
 def test_a_changer_follows_the_nearer_of_the_leaders_in_both_lanes():
     for lanes, expected in (((1, 2), 25.2), ((2, 1), 25.2)):
         simulator = simulator_of()

@@ -147,8 +147,9 @@ def test_two_changers_never_accept_the_same_gap():
     command(simulator, 0, 1, Phase.WAITING)
     command(simulator, 1, -1, Phase.WAITING)
     simulator.step()
-    assert simulator.agents[0]["phase"][:2].tolist() == [Phase.ENGAGED, Phase.WAITING]
-    assert simulator.agents[0, 1]["target_follower"] == 0
+    # The front one comes first, whatever its slot.
+    assert simulator.agents[0]["phase"][:2].tolist() == [Phase.WAITING, Phase.ENGAGED]
+    assert simulator.agents[0, 0]["target_leader"] == 1
 
 
 @pytest.mark.parametrize("name", ["five_lanes", "dense"])
@@ -185,7 +186,7 @@ def test_at_acceptance_the_gap_to_every_engaged_changer_is_wide_enough(name):
 
 
 def test_an_engaged_changer_from_the_other_side_counts_as_being_in_the_lane():
-    """Both rules, both sides: the later one of the agent slots sees the earlier one in its lane."""
+    """Both rules, both sides: the rear one sees the front one in its lane."""
     for rule in ("car_following", "kinematic"):
         for first, second in ((1, 3), (3, 1)):
             simulator = simulator_of(road={"num_lanes": 5}, gap={"rule": rule})

@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from staging import command, stage
 
 from marl_lanes.scenario import ScenarioError, load_scenario
 from marl_lanes.traffic.kinematics import curvature_at, integrate, keep_lane, road_turn_rate
 from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.traffic.state import Phase
 
 NO_COMMANDS = {"command": {"probability": 0.0}}
 
@@ -67,9 +69,67 @@ def test_vehicles_stop_and_do_not_reverse():
 def test_the_yaw_rate_is_bounded_by_the_turning_radius():
     simulator = Simulator("paper")
     for sign in (1.0, -1.0):
-        car = place(simulator, speed=2.0, yaw_acceleration=sign * 100.0)
+        car = place(simulator, speed=2.0, yaw_rate=sign * 0.1, yaw_acceleration=sign * 100.0)
         advance(simulator, car, is_keeping=False)
         assert car["yaw_rate"] == pytest.approx(sign * 2.0 / 5.5)
+        assert car["yaw_acceleration"] == pytest.approx(sign * (2.0 / 5.5 - 0.1) / 0.1)
+
+
+def test_what_a_vehicle_reports_is_what_it_did():
+    """(after - before)/dt, of speed and of yaw rate, stopping and standing included."""
+    simulator = Simulator("interactive", 4, seed=2, overrides={"num_agents": None, "horizon": None})
+    generator = np.random.default_rng(2)
+    simulator.reset()
+    num_asked_for_more = 0
+    for _ in range(400):
+        before = simulator.vehicles.copy()
+        actions = generator.uniform(-0.5, 0.5, (*simulator.agents.shape, 2))
+        # Half of the agents brake to a standstill.
+        actions[:, ::2, 1] = -3.0
+        simulator.step(actions)
+        is_same = (before["id"] == simulator.vehicles["id"]) & (before["id"] >= 0)
+        old, new = before[is_same], simulator.vehicles[is_same]
+        for name, rate in (("speed", "acceleration"), ("yaw_rate", "yaw_acceleration")):
+            assert new[rate] == pytest.approx((new[name] - old[name]) / 0.1, abs=1e-9)
+        num_asked_for_more += int(((new["speed"] == 0.0) & (new["agent"] >= 0)).sum())
+    assert num_asked_for_more > 100
+
+
+def test_asking_for_more_than_can_be_is_not_paid():
+    """A standing changer that goes on braking drives, sees and earns what one does that rests."""
+    ends = []
+    for wanted in (-3.0, 0.0):
+        simulator = Simulator(
+            "interactive", seed=1, overrides={"num_agents": None, "horizon": None}
+        )
+        simulator.reset()
+        simulator.advance_until_live()
+        slot = int(np.argmax(simulator.is_live[0]))
+        for count in range(350):
+            acceleration = -3.0 if count < 250 else wanted
+            simulator.step(np.full((1, simulator.num_slots, 2), [0.0, acceleration]))
+        car = simulator.vehicles[0, simulator.agents[0, slot]["vehicle"]]
+        assert car["speed"] == car["acceleration"] == 0.0
+        ends.append(simulator.snapshot())
+        # Nobody ahead lets it stand: car following alone would drive on.
+        assert simulator.agents[0, slot]["car_following"] > 0.0
+    assert ends[0] == ends[1]
+
+
+def test_car_following_asks_of_a_standing_driver_to_stand():
+    simulator = Simulator("interactive", overrides={"warmup": [0.0, 0.0]})
+    simulator.reset()
+    stage(
+        simulator,
+        {"lane": 1, "position": 100.0, "speed": 0.0},
+        {"lane": 1, "position": 106.0, "speed": 0.0, "desired_speed": 0.01},
+    )
+    agent = command(simulator, 0, 1, Phase.WAITING)
+    simulator.step(np.full((1, simulator.num_slots, 2), [0.0, -3.0]))
+    column = list(simulator.scenario.observation.features).index("car_following_acceleration")
+    assert simulator.agents[0, agent]["car_following"] == 0.0
+    assert simulator.state.observations[0, agent, column] == 0.0
+    assert simulator.agents[0, agent]["reward_longitudinal"] == 0.0
 
 
 @pytest.mark.parametrize("radius", [150.0, -150.0, 1e9])

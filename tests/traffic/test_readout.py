@@ -29,6 +29,7 @@ def test_every_phase_and_outcome(acts_waiting):
     wanted = {
         "mask": live,
         "engaged": engaged,
+        "aborting": rows(Phase.ABORTING),
         "acting": live if acts_waiting else engaged,
         "outcome": agents["outcome"].astype(np.int64),
         "reward": agents["reward"].astype(np.float32)[..., None],

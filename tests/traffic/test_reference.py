@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from reference import FOLLOWER_TERMS, SCRIPTED, Road
-from staging import damped_actions
+from staging import command, damped_actions, stage
 
 from marl_lanes.scenario import list_scenarios
 from marl_lanes.traffic.external import FOLLOWER_COLUMNS
 from marl_lanes.traffic.observation import FEATURES, feature_bounds, follower_feature_bounds
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.traffic.state import Disposition, Outcome, Phase
 
 EVERY_FEATURE = {"features": [feature.name for feature in FEATURES]}
 LOW, HIGH = feature_bounds(EVERY_FEATURE["features"])
@@ -172,6 +172,25 @@ CASES = {
         },
         meets=("paired", "abort", "scripted"),
     ),
+    "moving over": Case(
+        "yielding",
+        BUSY
+        | {
+            "road": {"num_lanes": 6, "length": 600.0},
+            "departures": {"interval": [1.0, 2.5], "initial_speed": [8.0, 20.0]},
+            "command": {"probability": 1.0, "lanes": [1, 4]},
+            "max_vehicles": 60,
+            "num_slots": 8,
+            "followers": {
+                "mix": {"cooperative": 4.0, "neutral": 0.5, "adversarial": 0.5},
+                "cooperative": {"moves_over": True},
+            },
+        },
+        250,
+        noise=0.0,
+        seed=2,
+        meets=("moving over", "moved over", Outcome.COMPLETED),
+    ),
     "short": Case(
         "paper",
         BUSY | {"horizon": 12.0, "warmup": [0.0, 0.0]},
@@ -200,6 +219,7 @@ def compare_vehicles(road, simulator, env):
         changer = car.changer.slot if car.changer else -1
         expected = car.id, car.lane, lanes[0], lanes[-1], car.disposition, agent, changer
         fields = "id", "lane", "lane_low", "lane_high", "disposition", "agent", "changer"
+        assert row["moving_over"] == car.moving_over
         assert tuple(int(row[name]) for name in fields) == expected
         assert names[row["profile"]] == car.profile
     assert sum(simulator.vehicles[env]["id"] >= 0) == count
@@ -271,6 +291,16 @@ def met_behind(road):
             yield "scripted"
 
 
+def met_beside(road, before):
+    """What those did who moved over."""
+    moving = {car.id: car.lane for car in before.cars if car.moving_over}
+    for car in road.cars:
+        if car.moving_over:
+            yield "moving over"
+        elif car.id in moving:
+            yield "moved over" if moving[car.id] == car.lane else "took back"
+
+
 def compare_road(road, simulator, env):
     record = simulator.roads[env]
     assert {name: int(record[name]) for name in road.counts} == road.counts
@@ -302,7 +332,7 @@ def follow(case):
     names = simulator.scenario.followers.external_names
     met = set()
     for _ in range(case.num_steps):
-        roads = [Road.of(simulator, env) for env in range(2)]
+        roads, before = ([Road.of(simulator, env) for env in range(2)] for _ in range(2))
         actions = damped_actions(simulator, case.noise, generator)
         actions[..., 0] += case.bias
         behind = generator.uniform(-7.0, 7.0, (*simulator.agents.shape, 1)) + case.pushing
@@ -320,6 +350,7 @@ def follow(case):
             met |= {agent.phase for agent in road.agents.values()}
             met |= {agent.outcome for agent in road.agents.values()}
             met |= set(met_behind(road))
+            met |= set(met_beside(road, before[env]))
     return met
 
 
@@ -327,3 +358,30 @@ def follow(case):
 def test_one_step_of_the_kernel_is_one_step_of_the_oracle(name):
     met = follow(CASES[name])
     assert met.issuperset(CASES[name].meets), f"this case does not meet {CASES[name].meets}: {met}"
+
+
+def test_a_move_that_is_taken_back_is_the_oracles():
+    fields = {"warmup": [0.0, 0.0], "observation": EVERY_FEATURE}
+    simulator = Simulator("yielding", overrides=fields)
+    simulator.reset()
+    stage(
+        simulator,
+        {"lane": 2, "position": 200.0, "disposition": Disposition.COOPERATIVE, "changer": 1},
+        {"lane": 1, "position": 230.0},
+        {"lane": 3, "position": 60.0},
+    )
+    command(simulator, 1, 1)
+    met = set()
+    for count in range(60):
+        if count == 4:
+            # Somebody fast, close behind.
+            other = simulator.vehicles[0, 2]
+            other["position"], other["speed"] = simulator.vehicles[0, 0]["position"] - 6.0, 30.0
+        road, before = Road.of(simulator), Road.of(simulator)
+        simulator.step()
+        road.step(simulator.actions[0].tolist(), simulator.follower_actions[0, :, 0].tolist())
+        compare_road(road, simulator, 0)
+        compare_vehicles(road, simulator, 0)
+        compare_agents(road, simulator, 0)
+        met |= set(met_beside(road, before))
+    assert met == {"moving over", "took back"}

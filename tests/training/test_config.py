@@ -94,6 +94,7 @@ def test_the_paper_recipe_has_the_papers_numbers():
     assert config.loss.target_interval == 1000
     assert config.optimizer.pretraining_transitions == 200_000
     assert config.collector.total_transitions == 400_000
+    assert (config.network.mu, config.replay.rare_share) == ("paper", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -132,6 +133,8 @@ BAD = [
     ("replay.capacity", 0),
     ("replay.storage", "tape"),
     ("replay.batch_size", 0),
+    ("replay.rare_share", -0.1),
+    ("replay.rare_share", 1.0),
     ("replay.warmup_transitions", -1),
     ("loss.gamma", -0.1),
     ("loss.gamma", 1.1),
@@ -210,7 +213,7 @@ def test_a_resumed_run_has_its_own_config(tmp_path):
 def test_a_field_without_a_value_is_named(tmp_path):
     path = tmp_path / "run" / "config.yaml"
     write_config(path, typed())
-    path.write_text(path.read_text("utf-8").replace("  final_rate: 1.0\n", ""), encoding="utf-8")
+    path.write_text(path.read_text("utf-8").replace("  final_rate: 0.05\n", ""), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"^optimizer.final_rate: must have .* resume = .*run'"):
         read_config(resolve(f"resume={tmp_path / 'run'}"), TrainingConfig)
     with pytest.raises(ConfigError, match=r"^optimizer.final_rate: .* the command line and its"):
@@ -249,7 +252,7 @@ def test_rays_address_is_an_option():
         (["ray.address=auto"], "ray.address = 'auto': must be null without ray"),
         (
             ["collector=multi", "num_workers=3"],
-            "collector.num_envs = 1024: must be a multiple of num_workers = 3",
+            "collector.num_envs = 512: must be a multiple of num_workers = 3",
         ),
     ],
 )

@@ -63,7 +63,7 @@ def test_a_state_from_the_beginning_goes_on_identically(tmp_path, make):
 def test_with_a_criterion_the_best_model_is_the_final_one(tmp_path, make):
     """The untrained and the last one are among them; a run from its beginning does the same."""
     # None but the first and the last is saved.
-    options = ("evaluation.criterion=completion_rate", "evaluation.save_interval=10000")
+    options = ("evaluation.criterion=success_rate", "evaluation.save_interval=10000")
     learner = make(*options)
     learner.begin(tmp_path / "run")
     shutil.copytree(tmp_path / "run", tmp_path / "again")
@@ -79,7 +79,7 @@ def test_with_a_criterion_the_best_model_is_the_final_one(tmp_path, make):
     networks = [read_checkpoint(checkpoints / name).network.state_dict() for name in names]
     for found, wanted in zip(networks, (before, learner.network.state_dict()), strict=True):
         assert all(torch.equal(found[key], value) for key, value in wanted.items())
-    best = max(saved, key=lambda name: float(saved[name]["completion_rate"]))
+    best = max(saved, key=lambda name: float(saved[name]["success_rate"]))
     final = checkpoints / "final.pt"
     assert final.read_bytes() == (checkpoints / best).read_bytes()
     assert read_checkpoint(final).transitions == int(saved[best]["transitions"])
@@ -312,7 +312,7 @@ def test_a_replay_buffer_of_files_changes_nothing_else(tmp_path):
         runs[storage] = tables(run)
     assert runs["memory"] == runs["memmap"]
     crashed = tmp_path / "memmap-crashed"
-    files = list((crashed / "replay").rglob("*.memmap"))
+    files = list((crashed / "replay" / "newest").rglob("*.memmap"))
     assert len(files) > 5
     sizes = {path.stem: path.stat().st_size for path in files}
     assert sizes["action"] == 150 * 4
@@ -327,10 +327,11 @@ def test_a_replay_buffer_of_files_changes_nothing_else(tmp_path):
 
 
 def test_a_replay_buffer_that_does_not_fit_on_the_disk(tmp_path, monkeypatch):
-    free = 2 * 1000 * 67 - 1
+    # A fifth of the ring of the rare ones comes on top.
+    free = 2 * 1200 * 68 - 1
     usage = type("Usage", (), {"free": free})
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    learner = changers("replay.storage=memmap", "replay.capacity=1000")
+    learner = changers("replay.storage=memmap", "replay.capacity=1000", "replay.rare_share=0.2")
     with pytest.raises(ConfigError, match=rf"replay.capacity = 1000: must fit .* {free} are free"):
         learner.begin(tmp_path / "run")
     assert not (tmp_path / "run" / "metrics.csv").exists()
@@ -342,7 +343,7 @@ def test_the_memory_of_a_road_and_of_a_transition(tmp_path, make):
     learner = make()
     learner.begin(tmp_path / "run")
     assert learner.train(Evaluation())
-    stored = learner.replay[:]
+    stored = learner.replay.rings["newest"][:]
     assert learner.memory["bytes_per_stored_transition"] == stored.bytes() / len(stored)
     roads = len(learner.env.simulator.snapshot()) / 8
     assert roads < learner.memory["bytes_per_environment"] < 1.2 * roads

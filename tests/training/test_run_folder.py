@@ -2,21 +2,23 @@
 
 import csv
 import json
+from pathlib import Path
 
 import pytest
 import torch
 from tensordict.nn import TensorDictSequential
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate
 
 from marl_lanes import LaneChangeEnv, NAFLoss
+from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector
-from marl_lanes.training.config import ConfigError
+from marl_lanes.training.config import ConfigError, ReplayConfig
+from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
-from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, Table
+from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, RunFolder, Table
 from marl_lanes.training.transitions import LivePolicy, live_transitions
 
 torch.set_num_threads(1)
@@ -72,6 +74,11 @@ def test_a_resumed_table_is_cut_off_after_the_state(tmp_path, until, kept):
     table.close()
     assert [row[1] for row in read(path)] == ["name", *kept, "new"]
     assert [entry.name for entry in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_success_leads_what_is_told_of_a_saved_model():
+    assert EVALUATED[:2] == ("success_rate", "completion_rate")
+    assert set(EVALUATED) < set(summarise([]))
 
 
 def test_a_new_run_makes_its_folder(tmp_path):
@@ -145,7 +152,14 @@ class Parts:
         self.loss.make_value_estimator(gamma=0.9)
         self.updater = SoftUpdate(self.loss, tau=0.1)
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=1e-3)
-        self.replay = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=16)
+        settings = ReplayConfig(
+            capacity=capacity,
+            storage="memory",
+            batch_size=16,
+            rare_share=0.25,
+            warmup_transitions=0,
+        )
+        self.replay = Replay(settings, Path("unused"), 0.0)
         noise = AdditiveGaussianModule(
             self.env.full_action_spec,
             action_key=self.env.action_keys[0],
@@ -164,7 +178,7 @@ class Parts:
             self.replay.extend(live_transitions(batch))
             for _ in range(5):
                 self.optimizer.zero_grad()
-                value = self.loss(self.replay.sample())["loss"]
+                value = self.loss(self.replay.sample(1)[0])["loss"]
                 value.backward()
                 self.optimizer.step()
                 self.updater.step()
@@ -199,9 +213,10 @@ def test_a_restored_training_goes_on_identically(tmp_path, overrides, capacity):
     for key, value in one.loss.state_dict().items():
         assert torch.equal(other.loss.state_dict()[key], value), key
     assert other.env.simulator.snapshot() == one.env.simulator.snapshot()
-    assert len(one.replay) == len(other.replay)
     assert (len(one.replay) == 300) == (capacity == 300)
-    assert (one.replay[:] == other.replay[:]).all()
+    for name, ring in one.replay.rings.items():
+        assert len(ring) == len(other.replay.rings[name]), name
+        assert not len(ring) or (ring[:] == other.replay.rings[name][:]).all(), name
     assert other.ends == one.ends - num_before
     assert (other.ends > 0) == (overrides is ENDING)
     for parts in (one, other):
@@ -215,7 +230,7 @@ def test_a_state_before_the_first_transition(tmp_path):
     one.train(3)
     other = Parts(NEW, seed=5)
     content = read_state(tmp_path / "s.pt")
-    assert content["replay"] == {}
+    assert [ring["rows"] for ring in content["replay"].values()] == [{}, {}]
     restore_state(content, **other.kept())
     # The roads of both begin with a reset: the snapshot was taken before the first.
     assert len(other.replay) == 0

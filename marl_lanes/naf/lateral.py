@@ -1,0 +1,276 @@
+"""The structures of mu for one action, the yaw acceleration [rad/s^2].
+
+In the maneuver frame the lateral deviation is reference minus position, positive at the start; yaw
+and yaw rate are positive toward the target, so that d(deviation)/dt = -speed sin(yaw).
+"""
+
+from collections.abc import Sequence
+from math import expm1, log
+from typing import Generic, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from marl_lanes.naf.layers import ActionBox, Heads
+from marl_lanes.naf.structure import Mu
+
+# The share of the action bound below which a_max does not fall: a_max is a divisor.
+A_MAX_FLOOR = 0.01
+
+
+class _YawAcceleration(Mu):
+    """A formula for one action, a yaw acceleration about zero, with a learned limit a_max."""
+
+    initial_a_max: float
+
+    def __init__(self, name: str, features: Sequence[str], box: ActionBox) -> None:
+        super().__init__(name, features)
+        self.bound = min(-box.low.item(), box.high.item())
+        if self.bound <= 0:
+            raise ValueError(
+                f"mu {name!r} needs a yaw acceleration's bounds with zero inside, got "
+                f"[{box.low.item():g}, {box.high.item():g}]"
+            )
+
+    def initial_limit_logit(self, floor: float = A_MAX_FLOOR) -> float:
+        """What `limit` maps to the initial a_max."""
+        share = min(self.initial_a_max / self.bound, 0.9)
+        return _logit(max((share - floor) / (1 - floor), A_MAX_FLOOR))
+
+    def limit(self, logit: Tensor, floor: Tensor | float = A_MAX_FLOOR) -> Tensor:
+        """a_max between a share of the bound and the bound [rad/s^2]."""
+        return self.bound * (floor + (1 - floor) * torch.sigmoid(logit))
+
+
+class PaperMu(_YawAcceleration):
+    """a = a_max tanh(beta (deviation / T^2 - speed yaw / T)).
+
+    Three networks give a_max, the sensitivity beta > 0 [s^2/m] and the transition time
+    T > 1.5 s, initially 0.25 rad/s^2, 0.31 and 3.4 s. It has no yaw-rate term: it turns a vehicle
+    into the target lane, but no gains let it settle there.
+
+    Source: Eq. 6 and Eq. 7; the sign of the yaw term follows the module's frame.
+    """
+
+    needs = ("speed", "lateral_deviation", "yaw")
+    initial_a_max = 0.25
+    min_time = 1.5
+
+    def __init__(
+        self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
+    ) -> None:
+        super().__init__(name, features, box)
+        initial = (
+            self.initial_limit_logit(),
+            _inverse_softplus(0.31),
+            _inverse_softplus(3.4 - self.min_time),
+        )
+        # The three networks of a_max, beta and T, one output each.
+        self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
+
+    def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
+        """The greedy yaw acceleration, (..., 1) [rad/s^2]."""
+        speed, deviation, yaw = self.read(observation)
+        limit, beta, time = self.heads(normalised).split(1, dim=-1)
+        beta = softplus(beta)
+        time = self.min_time + softplus(time)
+        # One factor 1/T taken out, so that a huge T does not overflow its square.
+        demand = (deviation / time - speed * yaw) / time
+        return self.limit(limit) * torch.tanh(beta * demand)
+
+
+class DampedMu(_YawAcceleration):
+    """a = a_max tanh(u / a_max), u = k0 deviation / speed - k1 yaw - k2 relative_yaw_rate.
+
+    relative_yaw_rate is yaw_rate - curvature speed; the speed that divides is 1 m/s or more. The
+    gains k0 = p1 p2 p3, k1 = p1 p2 + p1 p3 + p2 p3, k2 = p1 + p2 + p3 place the poles of the
+    linear loop at -p1, -p2, -p3, each in [1.0, 2.4] rad/s: it settles whatever is learned.
+    Four networks give the poles, initially 1.4 rad/s each, and a_max, initially 0.17 rad/s^2.
+
+    A change that is turned back must end before the road's edge, whatever is learned: a_max is
+    never below 0.03 k0 + 0.01 bound, for a loop that saturates longer swings out; and beyond the
+    reference lane's centre poles and a_max rise to their upper ends, linearly over 1 m.
+    """
+
+    needs = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
+    initial_a_max = 0.17
+    slowest_pole, fastest_pole = 1.0, 2.4
+    initial_pole = 1.4
+    min_speed = 1.0
+    linear_angle = 0.03
+    recovery_distance = 1.0
+
+    def __init__(
+        self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
+    ) -> None:
+        super().__init__(name, features, box)
+        # Networks of a_max and of each pole.
+        floor = min(self.limit_floor(torch.tensor(self.initial_pole**3)).item(), 0.9)
+        span = self.fastest_pole - self.slowest_pole
+        pole = _logit((self.initial_pole - self.slowest_pole) / span)
+        initial = (self.initial_limit_logit(floor), pole, pole, pole)
+        self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
+
+    def limit_floor(self, gain: Tensor) -> Tensor:
+        """The least a_max for k0 = `gain`, as a share of the bound."""
+        return (A_MAX_FLOOR + self.linear_angle * gain / self.bound).clamp(max=1.0)
+
+    def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
+        """The greedy yaw acceleration, (..., 1) [rad/s^2]."""
+        speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
+        span = self.fastest_pole - self.slowest_pole
+        limit, *logits = self.heads(normalised).split(1, dim=-1)
+        beyond = (-deviation / self.recovery_distance).clamp(0.0, 1.0)
+        shares = torch.sigmoid(torch.cat(logits, dim=-1))
+        shares = shares + beyond * (1.0 - shares)
+        p1, p2, p3 = (self.slowest_pole + span * shares).split(1, dim=-1)
+        gain = p1 * p2 * p3
+        demand = (
+            gain * deviation / speed.clamp(min=self.min_speed)
+            - (p1 * p2 + p1 * p3 + p2 * p3) * yaw
+            - (p1 + p2 + p3) * (yaw_rate - curvature * speed)
+        )
+        limit = self.limit(limit, self.limit_floor(gain))
+        limit = limit + beyond * (self.bound - limit)
+        return limit * torch.tanh(demand / limit)
+
+
+Gain = TypeVar("Gain", float, Tensor)
+
+
+class CascadeGains(NamedTuple, Generic[Gain]):
+    """The gains of the cascade: numbers, or tensors (..., 1)."""
+
+    limit: Gain
+    """a_max, the largest yaw acceleration [rad/s^2]."""
+    time: Gain
+    """T, in which the outer loop moves [s]."""
+    lateral_limit: Gain
+    """a_top, the largest lateral acceleration that it asks for [m/s^2]."""
+    lag: Gain
+    """tau, in which the inner loop turns [s]."""
+    damping: Gain
+    """zeta of the outer loop [1]."""
+    threshold: Gain
+    """Yaw acceleration below which the answer is exactly 0 [rad/s^2]."""
+
+
+TUNED_CASCADE = CascadeGains(
+    limit=0.5, time=1.53, lateral_limit=0.50, lag=0.13, damping=0.687, threshold=0.02
+)
+"""Gains found by a cross-entropy search on the settled change at constant speed, straight road."""
+
+
+def steer_by_cascade(
+    speed: Tensor,
+    deviation: Tensor,
+    yaw: Tensor,
+    relative_yaw_rate: Tensor,
+    gains: CascadeGains[Gain],
+) -> Tensor:
+    """a_max tanh(S((w_ref - w) / tau) / a_max), w_ref = (a_top / v) tanh(a_tmp / a_top).
+
+    a_tmp = deviation / T^2 - 2 zeta v yaw / T is Eq. 7's with its unit taken at its word, a lateral
+    acceleration; the inner loop turns the vehicle at the yaw rate w_ref that gives it. The soft
+    threshold S(x) = sign(x) max(|x| - threshold, 0) answers exactly 0 where little is to be gained:
+    the cost |a| has a kink there.
+
+    Args:
+        speed: v, 1 m/s where it is lower, (..., 1) [m/s].
+        deviation: reference minus position, (..., 1) [m].
+        yaw: relative to the road, (..., 1) [rad].
+        relative_yaw_rate: w, beyond the road's own turning, (..., 1) [rad/s].
+        gains: numbers, or (..., 1) each.
+
+    Returns:
+        yaw acceleration, (..., 1), within a_max [rad/s^2].
+    """
+    limit, time, lateral_limit, lag, damping, threshold = gains
+    speed = speed.clamp(min=1.0)
+    # One factor 1/T taken out, so that a huge T does not overflow its square.
+    wanted = (deviation / time - 2.0 * damping * speed * yaw) / time
+    reference = lateral_limit * torch.tanh(wanted / lateral_limit) / speed
+    demand = (reference - relative_yaw_rate) / lag
+    demand = torch.sign(demand) * torch.relu(demand.abs() - threshold)
+    return limit * torch.tanh(demand / limit)
+
+
+class CascadeMu(_YawAcceleration):
+    """`steer_by_cascade` with gains from six networks, initially TUNED_CASCADE.
+
+    Whatever is learned the vehicle comes within 0.3 m of the centre, and one that is turned back at
+    the marking stays on the road: each gain keeps to its range. The lag is shorter than 2 zeta T,
+    above which the linear loop is unstable. a_top is at most what UN R79 allows, 1 m/s^2. What the
+    threshold holds back is at most the turn for 0.2 m of deviation, and 0.3 of the largest turn.
+    """
+
+    needs = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
+    initial_a_max = TUNED_CASCADE.limit
+    limit_floor = 0.4
+    times = (1.0, 2.5)
+    lateral_limits = (0.3, 1.0)
+    lags = (0.1, 0.25)
+    dampings = (0.5, 1.4)
+    max_threshold = 0.05
+    max_held_back = 0.2
+    """[m]"""
+    max_share_held_back = 0.3
+
+    def __init__(
+        self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
+    ) -> None:
+        super().__init__(name, features, box)
+        tuned = TUNED_CASCADE
+        initial = (
+            self.initial_limit_logit(self.limit_floor),
+            _range_logit(tuned.time, *self.times),
+            _range_logit(tuned.lateral_limit, *self.lateral_limits),
+            _range_logit(tuned.lag, *self.lags),
+            _range_logit(tuned.damping, *self.dampings),
+            _range_logit(tuned.threshold, 0.0, self.max_threshold),
+        )
+        self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
+
+    def gains(self, speed: Tensor, normalised: Tensor) -> CascadeGains[Tensor]:
+        """The gains in a state, (..., 1) each."""
+        limit, *logits = self.heads(normalised).split(1, dim=-1)
+        shares = torch.sigmoid(torch.cat(logits, dim=-1))
+        time, lateral_limit, lag, damping, threshold = shares.split(1, dim=-1)
+        lateral_limit = _in_range(lateral_limit, *self.lateral_limits)
+        lag = _in_range(lag, *self.lags)
+        time = _in_range(time, *self.times)
+        held_back = torch.minimum(
+            self.max_held_back / time.square(), self.max_share_held_back * lateral_limit
+        )
+        highest = held_back / (speed.clamp(min=1.0) * lag)
+        return CascadeGains(
+            limit=self.limit(limit, self.limit_floor),
+            time=time,
+            lateral_limit=lateral_limit,
+            lag=lag,
+            damping=_in_range(damping, *self.dampings),
+            threshold=torch.minimum(self.max_threshold * threshold, highest),
+        )
+
+    def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
+        """The greedy yaw acceleration, (..., 1) [rad/s^2]."""
+        speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
+        gains = self.gains(speed, normalised)
+        return steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, gains)
+
+
+def _logit(share: float) -> float:
+    return log(share / (1 - share))
+
+
+def _inverse_softplus(value: float) -> float:
+    return log(expm1(value))
+
+
+def _range_logit(value: float, low: float, high: float) -> float:
+    return _logit((value - low) / (high - low))
+
+
+def _in_range(share: Tensor, low: float, high: float) -> Tensor:
+    return low + share * (high - low)

@@ -1,0 +1,31 @@
+"""What every structure of the greedy action mu(s) has: its needs and its columns."""
+
+from collections.abc import Sequence
+
+from torch import Tensor, nn
+
+
+class Mu(nn.Module):
+    """A structure of the greedy action.
+
+    Attributes:
+        inside_box: no parameters and no observation take the action out of the box, so that the
+            maximum of Q over the box is V itself.
+        needs: names of the observation columns that the formula reads.
+    """
+
+    inside_box = True
+    needs: tuple[str, ...] = ()
+
+    def __init__(self, name: str, features: Sequence[str]) -> None:
+        super().__init__()
+        for feature in self.needs:
+            if feature not in features:
+                raise ValueError(
+                    f"mu {name!r} needs the feature {feature!r}, got {', '.join(features)}"
+                )
+        self.columns = [list(features).index(feature) for feature in self.needs]
+
+    def read(self, observation: Tensor) -> list[Tensor]:
+        """The columns that the formula needs, each (..., 1), in the order of `needs`."""
+        return [observation[..., column : column + 1] for column in self.columns]

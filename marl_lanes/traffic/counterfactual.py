@@ -1,0 +1,95 @@
+"""What a lane changer and the driver behind it would do if the change did not take place."""
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_lanes.traffic.compiled import compiled, entry_point, internal
+from marl_lanes.traffic.followers import drive_alone
+from marl_lanes.traffic.parameters import CONSTANTS, PROFILE, Parameters
+from marl_lanes.traffic.state import AGENT, NONE, ROAD, VEHICLE, Phase, State, structure
+
+_ENGAGED = int(Phase.ENGAGED)
+
+
+def accelerations_without_change(
+    state: State, parameters: Parameters
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Plain car following in the present state, as if no agent changed lanes.
+
+    The changer follows the nearest body ahead in its origin lane alone. The driver behind it in
+    the target lane follows the nearest body ahead in the lanes of its own body, the changer left
+    out, by the parameters of its profile whatever its disposition is. Neither brakes harder than
+    ``vehicle.max_braking``.
+
+    Returns:
+        Of the changer and of the follower, each (E, A) float64 [m/s^2]; nan where the agent does
+        not steer, and where nobody is behind it.
+    """
+    changers = np.full(state.agents.shape, np.nan)
+    followers = np.full(state.agents.shape, np.nan)
+    tables = state.roads, state.vehicles, state.order, state.agents
+    _kernel()(*tables, parameters.profiles, parameters.constants, changers, followers)
+    return changers, followers
+
+
+@cache
+def _kernel() -> Callable[..., None]:
+    """``_imagine`` for the types that it is always called with."""
+    roads, order = np.empty(1, structure(ROAD)), np.empty((1, 1), np.uint32)
+    vehicles, agents = (np.empty((1, 1), structure(table)) for table in (VEHICLE, AGENT))
+    profiles, constants = (np.empty(1, structure(table)) for table in (PROFILE, CONSTANTS))
+    found = np.empty((1, 1))
+    types = (roads, vehicles, order, agents, profiles, constants, found, found)
+    return entry_point(_imagine, types)
+
+
+@internal
+def _body_ahead(slot: int, lane: int, absent: int, order: Any, count: int, vehicles: Any) -> int:
+    """Slot of the nearest body ahead of ``slot`` in the lane, ``absent`` left out, or NONE."""
+    nearest = NONE
+    for rank in range(count):
+        other = int(order[rank])
+        if other == slot:
+            return nearest
+        if other != absent and vehicles[other].lane_low <= lane <= vehicles[other].lane_high:
+            nearest = other
+    return nearest
+
+
+@compiled
+def _imagine(
+    roads: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    profiles: Any,
+    constants: Any,
+    changers: Any,
+    followers: Any,
+) -> None:
+    c = constants[0]
+    for env in range(agents.shape[0]):
+        cars, count = vehicles[env], roads[env].num_vehicles
+        for index in range(agents.shape[1]):
+            agent = agents[env, index]
+            if agent.phase < _ENGAGED:
+                continue
+            car = cars[agent.vehicle]
+            front = _body_ahead(agent.vehicle, agent.origin_lane, NONE, order[env], count, cars)
+            alone = drive_alone(car, profiles[car.profile], front, cars, c)
+            changers[env, index] = max(alone, -c.max_braking)
+            slot = agent.target_follower
+            if slot == NONE:
+                continue
+            behind = cars[slot]
+            smallest = math.inf
+            for lane in range(behind.lane_low, behind.lane_high + 1):
+                front = _body_ahead(slot, lane, agent.vehicle, order[env], count, cars)
+                alone = drive_alone(behind, profiles[behind.profile], front, cars, c)
+                smallest = min(smallest, alone)
+            followers[env, index] = max(smallest, -c.max_braking)
