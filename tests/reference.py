@@ -5,6 +5,7 @@ it. Only the enumerations and the state's names come from the package: every for
 again here.
 """
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -146,9 +147,9 @@ class Road:
         if self.scenario.followers.cooperative.moves_over:
             for car in self.cars:
                 self.move_over(car)
-        driven = [self.drive(car, actions, follower_actions) for car in self.cars]
-        for car, acceleration in zip(self.cars, driven, strict=True):
-            car.acceleration = acceleration
+        # From the front to the rear: the ACC model looks at the leader's new acceleration.
+        for car in self.cars:
+            car.acceleration = self.drive(car, actions, follower_actions)
         for car in self.cars:
             self.move(car, actions)
         self.counts["step"] += 1
@@ -250,14 +251,34 @@ class Road:
     # Car following
 
     def follow(self, car, front, profile, *, v0, a_m, headway, scale_a_m):
-        """Eq. 9 toward one leader, or none; the standard IDM where the scenario says sum."""
+        """The scenario's law toward one leader, or none: Eq. 9, the standard IDM, the ACC model."""
+        law = self.scenario.drivers.car_following
         free = (car.speed / v0) ** profile.exponent
         term = 0.0
         if front is not None:
             term = self.interaction(car, front, profile, headway, scale_a_m)
-        if self.scenario.drivers.car_following == "sum":
-            return a_m * (1.0 - (free + term))
-        return a_m * (1.0 - max(free, term))
+        if law == "max":
+            return a_m * (1.0 - max(free, term))
+        wanted = a_m * (1.0 - (free + term))
+        if law == "acc" and front is not None:
+            wanted = self.cool(wanted, self.heuristic(car, front, a_m), profile)
+            return min(wanted, a_m * (1.0 - free))
+        return wanted
+
+    def heuristic(self, car, front, a_m):
+        """The constant-acceleration heuristic of Kesting, Treiber, Helbing 2010."""
+        v, v_l, a_l = car.speed, front.speed, min(front.acceleration, a_m)
+        gap = max(self.gap(car, front), CONTACT_GAP)
+        space = v_l**2 - 2.0 * gap * a_l
+        if space > 0.0 and v_l * (v - v_l) <= -2.0 * gap * a_l:
+            return v**2 * a_l / space
+        return a_l - (v - v_l) ** 2 / (2.0 * gap) * (v > v_l)
+
+    def cool(self, wanted, heuristic, profile):
+        b, c = profile.comfortable_braking, self.scenario.drivers.coolness
+        if wanted >= heuristic:
+            return wanted
+        return (1 - c) * wanted + c * (heuristic + b * math.tanh((wanted - heuristic) / b))
 
     def interaction(self, car, front, profile, headway, a_m):
         root = 2.0 * math.sqrt(a_m * profile.comfortable_braking)
@@ -280,25 +301,22 @@ class Road:
             style["v0"] *= hostile.desired_speed_factor
             style["a_m"] = style["scale_a_m"] = hostile.max_acceleration
             style["headway"] = hostile.time_headway
+        style["v0"] *= self.hurry(car)
+        plain["v0"] *= self.hurry(car)
         leaders = [None]
         for lane in self.lanes_of(car):
             leaders.append(self.ahead(car, lambda other, lane=lane: lane in self.lanes_of(other)))
         wanted = min(self.follow(car, front, profile, **style) for front in leaders)
+        wanted = min(wanted, self.seek(car))
         # Toward its own target lane a driver is what its profile says, hostile or not.
         beyond = [front for front in self.leaders_beyond(car) if front is not None]
         toward = [self.follow(car, front, profile, **plain) for front in beyond]
-        if car.agent is not None and car.agent.phase == Phase.ENGAGED:
-            wanted = min(wanted, *toward, math.inf)
+        if car.agent is not None and car.agent.phase == Phase.ENGAGED and toward:
+            wanted = min(wanted, max(min(toward), self.hold(car)))
         if car.moving_over:
             wanted = min(wanted, *toward, math.inf)
         is_left = car.moving_over and car.changer and car.changer.agent.target != car.lane
-        if car.agent is not None and car.agent.phase == Phase.WAITING:
-            # It aligns with the target lane, gently; beside somebody it falls back.
-            gentle = -profile.comfortable_braking
-            if self.is_beside(car, car.agent.neighbors["target_follower"]):
-                wanted = min(wanted, gentle)
-            elif toward:
-                wanted = min(wanted, max(gentle, min(toward)))
+        plain["v0"] = car.desired_speed
         is_cooperative = car.disposition == Disposition.COOPERATIVE
         if car.changer is not None and is_cooperative and not is_left:
             gentle = self.scenario.followers.cooperative
@@ -351,19 +369,16 @@ class Road:
         """Car following of an agent's car as it stands, toward the neighbors of the agent."""
         car, around = agent.car, agent.neighbors
         profile = self.scenario.drivers.profiles[car.profile]
-        style = {"v0": car.desired_speed, "a_m": profile.max_acceleration}
+        style = {"v0": car.desired_speed * self.hurry(car), "a_m": profile.max_acceleration}
         style |= {"headway": profile.time_headway, "scale_a_m": profile.max_acceleration}
-        leaders = [None]
-        if agent.origin in self.lanes_of(car):
-            leaders.append(around["leader"])
-        if agent.target in self.lanes_of(car) or agent.phase == Phase.ENGAGED:
-            leaders.append(around["target_leader"])
-        wanted = min(self.follow(car, front, profile, **style) for front in leaders)
-        if agent.phase == Phase.WAITING:
-            gentle, beyond = -profile.comfortable_braking, (None, around["target_leader"])
-            aligning = min(self.follow(car, front, profile, **style) for front in beyond)
-            is_beside = self.is_beside(car, around["target_follower"])
-            wanted = min(wanted, gentle if is_beside else max(aligning, gentle))
+        leader = around["leader"] if agent.origin in self.lanes_of(car) else None
+        wanted = min(self.follow(car, front, profile, **style) for front in (None, leader))
+        wanted = min(wanted, self.seek(car))
+        front = around["target_leader"]
+        is_changing = agent.target in self.lanes_of(car) or agent.phase == Phase.ENGAGED
+        if front is not None and is_changing:
+            toward = self.follow(car, front, profile, **style)
+            wanted = min(wanted, max(toward, self.hold(car)))
         wanted = min(wanted, self.in_curves(car, profile.comfortable_braking))
         return self.no_reversing(car, max(wanted, -self.scenario.vehicle.max_braking))
 
@@ -371,6 +386,128 @@ class Road:
         """Who would drive backwards after the step stops instead."""
         after = max(0.0, car.speed + acceleration * self.scenario.time_step)
         return (after - car.speed) / self.scenario.time_step
+
+    # The gap that a waiting driver seeks
+
+    def needed(self, driver, speed, closing, v0):
+        """The gap that the rule asks of a driver behind, inf where no gap would do."""
+        rule, profile = self.scenario.gap, self.scenario.drivers.profiles[driver.profile]
+        if rule.rule == "kinematic":
+            way = max(0.0, closing) ** 2 / (2.0 * rule.max_braking)
+            return rule.minimum_gap + rule.time_gap * speed + way
+        a_m, free = profile.max_acceleration, (speed / v0) ** profile.exponent
+        # a_m (1 - free - (s*/s)^2) = -(b_safe - margin), or without free where that is smaller.
+        share = 1.0 + (rule.safe_braking - rule.braking_margin) / a_m
+        if self.scenario.drivers.car_following != "max":
+            share -= free
+        elif free > share:
+            return math.inf
+        if share <= 0.0:
+            return math.inf
+        root = 2.0 * math.sqrt(a_m * profile.comfortable_braking)
+        dynamic = max(0.0, speed * profile.time_headway + speed * closing / root)
+        return max((profile.minimum_gap + dynamic) / math.sqrt(share), rule.minimum_gap)
+
+    def window(self, car, pace, front, rear):
+        """Positions at which the rule would accept the car at this pace: lowest, highest."""
+        length, low, high = self.scenario.vehicle.length, -math.inf, math.inf
+        if front is not None:
+            needed = self.needed(car, pace, pace - front.speed, car.desired_speed)
+            high = front.position - length - needed
+        if rear is not None:
+            needed = self.needed(rear, rear.speed, rear.speed - pace, rear.desired_speed)
+            low = rear.position + length + needed
+        return low, high
+
+    def aim(self, car, front, rear):
+        """Pace, the nearest point of the window (None without one), and the point to aim at."""
+        top = car.desired_speed * self.scenario.gap.speed_factor
+        pace = min((front or rear).speed, top)
+        low, high = self.window(car, pace, front, rear)
+        if rear is not None and low > car.position and min(rear.speed, top) > pace:
+            pace = min(rear.speed, top)
+            low, high = self.window(car, pace, front, rear)
+        if low > high:
+            return pace, None, (low + high) / 2.0
+        inset = min(3.0, (high - low) / 2.0)
+        point = min(max(car.position, low), high)
+        return pace, point, min(max(car.position, low + inset), high - inset)
+
+    def arrival(self, car, pace, point):
+        """When the car is at the point that moves on at this pace, and as fast; inf if never."""
+        if point is None:
+            return math.inf
+        profile = self.scenario.drivers.profiles[car.profile]
+        way, b = point - car.position, profile.comfortable_braking
+        top = pace / 2.0
+        if way > 0.0:
+            top = car.desired_speed * self.scenario.gap.speed_factor - pace
+        time = fastest(way, car.speed - pace, b, top)
+        leader = self.ahead(car, lambda other: self.is_in(other, car.lane))
+        if leader is None or time == math.inf:
+            return time
+        gap = self.gap(car, leader) + (leader.speed - pace) * time - way
+        return time if gap >= profile.minimum_gap + profile.time_headway * pace else math.inf
+
+    def seek(self, car):
+        """What a waiting driver does for the best of three gaps; inf where none can be had."""
+        if car.agent is None or car.agent.phase != Phase.WAITING:
+            return math.inf
+        reach, target = self.scenario.observation.sensor_range, car.agent.target
+        rank = self.cars.index(car)
+        ahead = [c for c in reversed(self.cars[:rank]) if self.is_in(c, target)] + [None]
+        behind = [c for c in self.cars[rank + 1 :] if self.is_in(c, target)] + [None]
+        choices = []
+        if ahead[0] or behind[0]:
+            choices.append((ahead[0], behind[0]))
+        further = [
+            [(b, a) for a, b in itertools.pairwise(ahead)],
+            list(itertools.pairwise(behind)),
+        ]
+        for gaps in further:
+            for front, rear in gaps:
+                near = rear if gaps is further[0] else front
+                if abs(near.position - car.position) >= reach:
+                    break
+                choices.append((front, rear))
+                if self.aim(car, front, rear)[1] is not None:
+                    break
+        best, wanted = math.inf, math.inf
+        for front, rear in choices:
+            pace, point, aim = self.aim(car, front, rear)
+            time = self.arrival(car, pace, point)
+            if time < best:
+                best, wanted = time, self.track(car, pace, aim)
+        return wanted
+
+    def hold(self, car):
+        """The mildest braking of a changer for its target lane's leader, until it is there."""
+        target = car.agent.target
+        if car.agent.phase != Phase.ENGAGED or target in self.lanes_of(car):
+            return -math.inf
+        front = self.ahead(car, lambda other: self.is_in(other, target))
+        rear = self.behind(car, lambda other: self.is_in(other, target))
+        if front is None and rear is None:
+            return math.inf
+        pace, _, aim = self.aim(car, front, rear)
+        return self.track(car, pace, aim)
+
+    def track(self, car, pace, aim):
+        """Toward an aim that moves on at this pace: 1 s for the speed, 5 s for the way."""
+        wanted = max(pace + (aim - car.position) / 5.0, pace / 2.0)
+        gentle = self.scenario.drivers.profiles[car.profile].comfortable_braking
+        return max(wanted - car.speed, -gentle)
+
+    def hurry(self, car):
+        """What the desired speed is multiplied by, for the sake of a gap."""
+        factor = self.scenario.gap.speed_factor
+        if car.agent is None:
+            return 1.0
+        if self.seek(car) < math.inf:
+            return factor
+        if car.agent.phase == Phase.ENGAGED and car.agent.target not in self.lanes_of(car):
+            return min(max(1.0, car.speed / car.desired_speed), factor)
+        return 1.0
 
     def leaders_beyond(self, car):
         """Ahead of a car on its way, in or bound for its target lane; None among them."""
@@ -380,11 +517,6 @@ class Road:
         in_lane = self.ahead(car, lambda other: target in self.lanes_of(other))
         changing = self.ahead(car, lambda other: self.is_bound_for(other, target))
         return [None, in_lane, changing]
-
-    def is_beside(self, car, follower):
-        """Whether the target lane's follower, not itself commanded, overlaps lengthwise."""
-        is_free = follower is not None and follower.agent is None
-        return is_free and self.gap(follower, car) < 0.0
 
     @staticmethod
     def is_bound_for(car, lane):
@@ -400,7 +532,7 @@ class Road:
         if car.moving_over:
             if self.has_settled(car):
                 car.moving_over = 0
-            elif car.lane not in self.lanes_of(car) and not self.has_room_in(car, car.lane):
+            elif car.lane not in self.lanes_of(car) and not self.has_room_in(car, car.lane, 0.0):
                 car.lane, car.moving_over = car.lane - car.moving_over, 0
                 self.counts["num_moves_returned"] += 1
             return
@@ -422,15 +554,20 @@ class Road:
             car, self.ahead(car, lambda x: self.is_in(x, beyond)), profile, **style
         )
         is_worth_it = braking < 0.0 and freely > max(braking, -gentle.max_braking)
-        if is_worth_it and self.has_settled(car) and self.has_room_in(car, beyond):
+        if (
+            is_worth_it
+            and self.has_settled(car)
+            and self.has_room_in(car, beyond, self.scenario.gap.braking_margin)
+        ):
             car.lane, car.moving_over = beyond, asking.direction
             self.counts["num_moves_over"] += 1
 
-    def has_room_in(self, car, lane):
+    def has_room_in(self, car, lane, margin):
         ahead, behind = (
             find(car, lambda x: self.is_in(x, lane)) for find in (self.ahead, self.behind)
         )
-        return self.is_gap_safe(car, ahead) and self.is_gap_safe(behind, car)
+        braking = self.scenario.gap.safe_braking - margin
+        return self.is_gap_safe(car, ahead, braking) and self.is_gap_safe(behind, car, braking)
 
     def has_settled(self, car):
         """In the lane that it keeps, by the completion criterion."""
@@ -647,18 +784,28 @@ class Road:
             counts["num_commands"] += 1
             counts["num_live"] += 1
 
-    def is_gap_safe(self, rear, front):
-        """gap >= d_min + tau v_rear + max(0, v_rear - v_front)^2/(2 b_max); no vehicle is safe."""
+    def is_gap_safe(self, rear, front, braking):
+        """The scenario's rule; no vehicle is safe."""
         if rear is None or front is None:
             return True
-        rule, closing = self.scenario.gap, max(0.0, rear.speed - front.speed)
+        rule, gap = self.scenario.gap, self.gap(rear, front)
+        if rule.rule == "car_following":
+            profile = self.scenario.drivers.profiles[rear.profile]
+            a_m, headway = profile.max_acceleration, profile.time_headway
+            style = {"v0": rear.desired_speed, "a_m": a_m, "headway": headway, "scale_a_m": a_m}
+            return (
+                gap >= rule.minimum_gap and self.follow(rear, front, profile, **style) >= -braking
+            )
+        closing = max(0.0, rear.speed - front.speed)
         needed = rule.minimum_gap + rule.time_gap * rear.speed
-        return self.gap(rear, front) >= needed + closing**2 / (2.0 * rule.max_braking)
+        return gap >= needed + closing**2 / (2.0 * rule.max_braking)
 
     def is_accepted(self, agent):
-        around = agent.neighbors
-        return self.is_gap_safe(agent.car, around["target_leader"]) and self.is_gap_safe(
-            around["target_follower"], agent.car
+        around, braking = agent.neighbors, self.scenario.gap.safe_braking
+        if agent.phase == Phase.WAITING:
+            braking -= self.scenario.gap.braking_margin
+        return self.is_gap_safe(agent.car, around["target_leader"], braking) and self.is_gap_safe(
+            around["target_follower"], agent.car, braking
         )
 
     def renew(self):
@@ -788,6 +935,21 @@ def shape(arc, position):
     if arc.transition == 0.0:
         return 1.0
     return min(1.0, (position - arc.start) / arc.transition, (arc.end - position) / arc.transition)
+
+
+def fastest(way, speed, limit, top):
+    """Least time over a way to a stop, |acceleration| <= limit and the speed toward it <= top."""
+    stop = speed * abs(speed) / (2.0 * limit)
+    sign = 1.0 if way >= stop else -1.0
+    way, speed = sign * way, sign * speed
+    # Up to the peak and down to 0: (peak^2 - speed^2 + peak^2)/(2 limit) = way.
+    peak = math.sqrt(limit * way + speed**2 / 2.0)
+    if peak > top:
+        if top <= 0.0:
+            return math.inf
+        cruise = way - (2.0 * top**2 - speed**2) / (2.0 * limit)
+        return (top - speed) / limit + top / limit + cruise / top
+    return (peak - speed) / limit + peak / limit
 
 
 def overlap_area(subject, clip):

@@ -110,8 +110,13 @@ def _default_profiles() -> dict[str, DriverProfile]:
 class Drivers(Section):
     """Who drives: the car-following law and the mix of profiles."""
 
-    car_following: Literal["max", "sum"] = Field(
-        "max", description="IDM form [name]: 'max' is the paper's Eq. 9, 'sum' the standard IDM"
+    car_following: Literal["max", "sum", "acc"] = Field(
+        "max",
+        description="law [name]: 'max' is the paper's Eq. 9, 'sum' the standard IDM, 'acc' the "
+        "ACC model on top of it",
+    )
+    coolness: NonNegative = Field(
+        0.99, le=1.0, description="c of the ACC model [1], 0 (the standard IDM) to 1"
     )
     profiles: dict[str, DriverProfile] = Field(
         default_factory=_default_profiles,
@@ -177,11 +182,47 @@ class Command(Section):
 
 
 class Gap(Section):
-    """The gap selector: gap >= minimum_gap + time_gap v_rear + max(0, dv)^2/(2 max_braking)."""
+    """The gap selector: what a vehicle behind must be able to do without braking hard."""
 
-    minimum_gap: NonNegative = Field(2.0, description="d_min [m], >= 0")
-    time_gap: NonNegative = Field(0.4, description="tau [s], >= 0")
-    max_braking: Positive = Field(4.0, description="b_max of the vehicle behind [m/s^2], > 0")
+    rule: Literal["car_following", "kinematic"] = Field(
+        "car_following",
+        description="what a safe gap is [name]: 'car_following' where the drivers' own law brakes "
+        "at most safe_braking, 'kinematic' where gap >= minimum_gap + time_gap v_rear + "
+        "max(0, dv)^2/(2 max_braking)",
+    )
+    safe_braking: Positive = Field(
+        4.0, description="b_safe of rule car_following: harder braking aborts [m/s^2], > 0"
+    )
+    braking_margin: NonNegative = Field(
+        1.0,
+        description="by which the braking must be milder for a gap to be accepted [m/s^2], >= 0, "
+        "< safe_braking",
+    )
+    speed_factor: Positive = Field(
+        1.1,
+        ge=1.0,
+        le=2.0,
+        description="how far above its desired speed a driver may go for a gap [1], 1 to 2",
+    )
+    minimum_gap: NonNegative = Field(
+        2.0, description="d_min of both rules and of the guard [m], >= 0"
+    )
+    time_gap: NonNegative = Field(
+        0.4, description="tau of rule kinematic and of the guard [s], >= 0"
+    )
+    max_braking: Positive = Field(
+        4.0,
+        description="b_max of the vehicle behind, of rule kinematic and of the guard [m/s^2], > 0",
+    )
+
+    @model_validator(mode="after")
+    def _check_margin(self) -> Self:
+        if self.braking_margin >= self.safe_braking:
+            raise ValueError(
+                f"braking_margin = {self.braking_margin} must be below "
+                f"safe_braking = {self.safe_braking}"
+            )
+        return self
 
 
 class Completion(Section):

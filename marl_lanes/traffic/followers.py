@@ -11,16 +11,19 @@ external: while it is paired, its policy's acceleration, within bounds; otherwis
 import math
 from typing import Any
 
+from marl_lanes.traffic.car_following import follow, follow_plainly
 from marl_lanes.traffic.compiled import internal
 from marl_lanes.traffic.curves import curve_acceleration
+from marl_lanes.traffic.gap_seeking import desired_speed_of, seek_or_hold
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
 from marl_lanes.traffic.kinematics import attainable
-from marl_lanes.traffic.neighbors import bumper_gap
+from marl_lanes.traffic.neighbors import bumper_gap, find_rank, is_body_in
 from marl_lanes.traffic.prefetch import prefetch
 from marl_lanes.traffic.state import NONE, Disposition, Phase
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
 _ADVERSARIAL = int(Disposition.ADVERSARIAL)
+_ABSENT = int(Phase.ABSENT)
 _WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
 _SPARE_SLOTS = 4
@@ -36,93 +39,46 @@ def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, 
 @internal
 def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or none [m/s^2]."""
-    interaction = 0.0
     if front > NONE:
-        interaction = _interaction(
-            car,
-            vehicles[front],
-            profile.time_headway,
-            profile.braking_scale,
-            profile.minimum_gap,
-            constants,
-        )
+        return follow_plainly(car, vehicles[front], profile, constants)
     free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
-    return idm_acceleration(profile.max_acceleration, free_road, interaction, constants.is_sum_form)
+    return idm_acceleration(profile.max_acceleration, free_road, 0.0, constants.is_sum_form)
 
 
 @internal
-def is_beside(car: Any, follower: int, vehicles: Any, constants: Any) -> bool:
-    """Whether the target lane's follower, not itself commanded, overlaps the car lengthwise."""
-    if follower == NONE:
-        return False
-    other = vehicles[follower]
-    # Two that wait for each other's lane would both brake.
-    return bool(other.agent == NONE and bumper_gap(other, car, constants) < 0.0)
-
-
-@internal
-def drive_commanded(
-    car: Any,
-    profile: Any,
-    phase: int,
-    acceleration: float,
-    ahead: float,
-    is_giving_way: bool,
-    is_sum_form: int,
+def car_following(
+    agent: Any,
+    order: Any,
+    count: int,
+    vehicles: Any,
+    agents: Any,
+    profiles: Any,
+    arcs: Any,
+    constants: Any,
 ) -> float:
-    """Car following of a vehicle with a live command, its target lane included [m/s^2].
-
-    Toward the target lane a driver follows by its own profile, whatever its disposition makes of
-    its own lane.
-
-    Args:
-        car: record of the vehicle.
-        profile: of its driver.
-        phase: of the command.
-        acceleration: toward the leaders in the lanes of its body [m/s^2].
-        ahead: the largest interaction term toward the leaders in its target lane, 0 without one;
-            counts while engaged, and no harder than comfortable while waiting [1].
-        is_giving_way: whether it waits beside a vehicle of the target lane and gives way to it.
-        is_sum_form: as in ``idm_acceleration``.
-    """
-    if phase == _WAITING and is_giving_way:
-        return float(min(acceleration, -profile.comfortable_braking))
-    if ahead == 0.0 or phase not in (_WAITING, _ENGAGED):
-        return float(acceleration)
-    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
-    beyond = idm_acceleration(profile.max_acceleration, free_road, ahead, is_sum_form)
-    if phase == _WAITING:
-        beyond = max(beyond, -profile.comfortable_braking)
-    return float(min(acceleration, beyond))
-
-
-@internal
-def car_following(agent: Any, vehicles: Any, profiles: Any, arcs: Any, constants: Any) -> float:
     """What car following would do with the agent's vehicle in the present state [m/s^2].
 
     Its leaders are the agent's neighbors; the disposition of its driver does not enter.
     """
     car = vehicles[agent.vehicle]
     profile = profiles[car.profile]
-    headway, scale, s0 = profile.time_headway, profile.braking_scale, profile.minimum_gap
-    interaction, ahead = 0.0, 0.0
-    if agent.leader > NONE and car.lane_low <= agent.origin_lane <= car.lane_high:
-        interaction = _interaction(car, vehicles[agent.leader], headway, scale, s0, constants)
-    if agent.target_leader > NONE:
-        ahead = _interaction(car, vehicles[agent.target_leader], headway, scale, s0, constants)
-        if car.lane_low <= agent.target_lane <= car.lane_high:
-            interaction = max(interaction, ahead)
-    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
-    is_sum_form = constants.is_sum_form
-    acceleration = drive_commanded(
-        car,
-        profile,
-        agent.phase,
-        idm_acceleration(profile.max_acceleration, free_road, interaction, is_sum_form),
-        ahead,
-        is_beside(car, agent.target_follower, vehicles, constants),
-        is_sum_form,
+    limit, headway, scale = profile.max_acceleration, profile.time_headway, profile.braking_scale
+    rank = find_rank(agent.vehicle, order)
+    seeking, holding = seek_or_hold(
+        rank, car, agent, order, count, vehicles, agents, profiles, constants
     )
+    desired_speed = desired_speed_of(car, agent, seeking, constants)
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    acceleration = min(idm_acceleration(limit, free_road, 0.0, constants.is_sum_form), seeking)
+    if agent.leader > NONE and is_body_in(car, agent.origin_lane):
+        front = vehicles[agent.leader]
+        toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
+        acceleration = min(acceleration, toward)
+    is_changing = agent.phase == _ENGAGED or is_body_in(car, agent.target_lane)
+    if agent.target_leader > NONE and is_changing:
+        front = vehicles[agent.target_leader]
+        toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
+        acceleration = min(acceleration, max(toward, holding))
     acceleration = min(acceleration, comfortable_in_curves(car, profile, arcs, constants))
     return float(attainable(acceleration, car, constants))
 
@@ -221,67 +177,88 @@ def _drive_by_agent(
 def yield_to(car: Any, profile: Any, changer: Any, constants: Any) -> float:
     """Car following of a cooperative driver behind its changer, with the longer headway [m/s^2]."""
     headway, scale = constants.cooperative_time_headway, profile.braking_scale
-    term = _interaction(car, changer, headway, scale, profile.minimum_gap, constants)
     free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
-    return idm_acceleration(profile.max_acceleration, free_road, term, constants.is_sum_form)
+    limit = profile.max_acceleration
+    return follow(car, changer, free_road, limit, headway, scale, profile, constants)
 
 
 @internal
-def _lane_ahead(car: Any, profile: Any, lane: Any, vehicles: Any, constants: Any) -> float:
-    """The largest interaction term toward who is ahead in the lane, or on the way to it [1]."""
-    ahead = 0.0
-    headway, scale, s0 = profile.time_headway, profile.braking_scale, profile.minimum_gap
+def _toward_lane(
+    car: Any, profile: Any, desired_speed: float, lane: Any, vehicles: Any, constants: Any
+) -> float:
+    """The smallest acceleration toward who is ahead in the lane, or on the way to it [m/s^2].
+
+    By the driver's own profile, whatever its disposition makes of its own lane; inf without one.
+    """
+    headway, scale = profile.time_headway, profile.braking_scale
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    limit, acceleration = profile.max_acceleration, math.inf
     for front in (lane.nearest, lane.nearest_engaged):
         if front > NONE:
-            term = _interaction(car, vehicles[front], headway, scale, s0, constants)
-            ahead = max(ahead, term)
-    return ahead
+            toward = follow(
+                car, vehicles[front], free_road, limit, headway, scale, profile, constants
+            )
+            acceleration = min(acceleration, toward)
+    return acceleration
 
 
 @internal
 def _drive_among(
-    car: Any, profile: Any, lanes: Any, vehicles: Any, agents: Any, constants: Any
+    rank: int,
+    car: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    count: int,
+    agents: Any,
+    profiles: Any,
+    constants: Any,
 ) -> float:
     """The smallest acceleration toward the leaders in several lanes, by disposition [m/s^2]."""
+    profile = profiles[car.profile]
     headway, scale = profile.time_headway, profile.braking_scale
     limit, desired_speed = profile.max_acceleration, car.desired_speed
     has_changer = car.changer > NONE
-    is_body_in = False
+    has_entered = False
     if has_changer:
         changer = vehicles[car.changer]
-        lane = agents[changer.agent].target_lane
-        is_body_in = changer.lane_low <= lane <= changer.lane_high
-    if has_changer and not is_body_in and car.disposition == _ADVERSARIAL:
+        has_entered = is_body_in(changer, agents[changer.agent].target_lane)
+    phase = _ABSENT
+    seeking, holding = math.inf, -math.inf
+    if car.agent > NONE:
+        agent = agents[car.agent]
+        phase = agent.phase
+        seeking, holding = seek_or_hold(
+            rank, car, agent, order, count, vehicles, agents, profiles, constants
+        )
+        desired_speed = desired_speed_of(car, agent, seeking, constants)
+    own_speed = desired_speed
+    if has_changer and not has_entered and car.disposition == _ADVERSARIAL:
         headway, scale = constants.adversarial_time_headway, profile.adversarial_braking_scale
         limit = constants.adversarial_max_acceleration
         desired_speed = desired_speed * constants.adversarial_speed_factor
 
-    interaction = 0.0
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    acceleration = min(idm_acceleration(limit, free_road, 0.0, constants.is_sum_form), seeking)
     for lane in range(car.lane_low, car.lane_high + 1):
         front = lanes[lane].nearest
         if front > NONE:
-            term = _interaction(
-                car, vehicles[front], headway, scale, profile.minimum_gap, constants
+            toward = follow(
+                car, vehicles[front], free_road, limit, headway, scale, profile, constants
             )
-            interaction = max(interaction, term)
-    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
-    acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
-    if car.agent > NONE:
-        agent = agents[car.agent]
-        ahead = _lane_ahead(car, profile, lanes[agent.target_lane], vehicles, constants)
-        is_giving_way = is_beside(car, agent.target_follower, vehicles, constants)
-        acceleration = drive_commanded(
-            car, profile, agent.phase, acceleration, ahead, is_giving_way, constants.is_sum_form
-        )
+            acceleration = min(acceleration, toward)
+    if phase == _ENGAGED:
+        lane = agents[car.agent].target_lane
+        beyond = _toward_lane(car, profile, own_speed, lanes[lane], vehicles, constants)
+        acceleration = min(acceleration, max(beyond, holding))
     elif car.moving_over != 0:
-        ahead = _lane_ahead(car, profile, lanes[car.lane], vehicles, constants)
-        beyond = idm_acceleration(limit, free_road, ahead, constants.is_sum_form)
+        beyond = _toward_lane(car, profile, own_speed, lanes[car.lane], vehicles, constants)
         acceleration = min(acceleration, beyond)
         # It leaves the lane to the changer: no need to brake for who is not there yet.
         has_changer = has_changer and agents[vehicles[car.changer].agent].target_lane == car.lane
     if has_changer and car.disposition == _COOPERATIVE:
         yielding = yield_to(car, profile, vehicles[car.changer], constants)
-        if not is_body_in:
+        if not has_entered:
             yielding = max(yielding, -constants.cooperative_max_braking)
         acceleration = min(acceleration, yielding)
     return acceleration
@@ -331,7 +308,9 @@ def accelerate(
             car.acceleration = max(acceleration, -constants.max_braking)
             lanes[lane].nearest = slot
             continue
-        acceleration = _drive_among(car, profile, lanes, vehicles, agents, constants)
+        acceleration = _drive_among(
+            rank, car, lanes, vehicles, order, road.num_vehicles, agents, profiles, constants
+        )
         if arcs.shape[0] > 0:
             allowed = comfortable_in_curves(car, profile, arcs, constants)
             acceleration = min(acceleration, allowed)

@@ -1,4 +1,4 @@
-"""Car following: the paper's Eq. 9 and the standard Intelligent Driver Model."""
+"""Car-following formulas: the paper's Eq. 9, the Intelligent Driver Model, the ACC model."""
 
 import math
 
@@ -72,3 +72,57 @@ def idm_acceleration(
     if is_sum_form:
         return max_acceleration * (1.0 - free_road - interaction)
     return max_acceleration * (1.0 - max(free_road, interaction))
+
+
+@compiled
+def constant_acceleration_heuristic(
+    speed: float,
+    gap: float,
+    front_speed: float,
+    front_acceleration: float,
+    max_acceleration: float,
+) -> float:
+    """The braking that avoids a crash if the leader keeps its acceleration, a_CAH [m/s^2].
+
+    v^2 a_l/(v_l^2 - 2 s a_l) where v_l (v - v_l) <= -2 s a_l: both stand when they meet; elsewhere
+    a_l - max(0, v - v_l)^2/(2 s), with a_l = min(the leader's acceleration, a_m).
+
+    Args:
+        speed: v [m/s].
+        gap: s, bumper to bumper [m].
+        front_speed: v_l [m/s].
+        front_acceleration: the leader's acceleration [m/s^2].
+        max_acceleration: a_m [m/s^2].
+
+    Source: Kesting, Treiber, Helbing 2010, eq. 2.3.
+    """
+    s = max(gap, _CONTACT_GAP)
+    front = min(front_acceleration, max_acceleration)
+    closing = speed - front_speed
+    reach = front_speed * front_speed - 2.0 * s * front
+    # reach is 0 behind a leader that stands and stays: the other branch is the answer there.
+    if front_speed * closing <= -2.0 * s * front and reach > 0.0:
+        return speed * speed * front / reach
+    closing = max(0.0, closing)
+    return front - closing * closing / (2.0 * s)
+
+
+@compiled
+def acc_acceleration(
+    acceleration: float, heuristic: float, comfortable_braking: float, coolness: float
+) -> float:
+    """a_IDM where it is >= a_CAH, else (1 - c) a_IDM + c (a_CAH + b tanh((a_IDM - a_CAH)/b)).
+
+    Args:
+        acceleration: a_IDM, in the standard form [m/s^2].
+        heuristic: a_CAH, ``constant_acceleration_heuristic`` [m/s^2].
+        comfortable_braking: b [m/s^2], > 0.
+        coolness: c [1], 0 (the IDM) to 1.
+
+    Source: Kesting, Treiber, Helbing 2010, eq. 2.4.
+    """
+    if acceleration >= heuristic:
+        return acceleration
+    excess = (acceleration - heuristic) / comfortable_braking
+    cool = heuristic + comfortable_braking * math.tanh(excess)
+    return (1.0 - coolness) * acceleration + coolness * cool

@@ -107,15 +107,15 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
 
 
 @internal
-def change_phase(agent: Any, vehicles: Any, turning: float, constants: Any) -> None:
+def change_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, constants: Any) -> None:
     """Engage, abort or return to waiting, by the gap selector and the vehicle's place."""
     car = vehicles[agent.vehicle]
     if agent.phase == _WAITING:
-        if is_target_gap_safe(agent, vehicles, constants):
+        if is_target_gap_safe(agent, vehicles, profiles, constants):
             agent.phase = _ENGAGED
     elif agent.phase == _ENGAGED:
         is_over_marking = car.lane_low <= agent.target_lane <= car.lane_high
-        if not is_over_marking and not is_target_gap_safe(agent, vehicles, constants):
+        if not is_over_marking and not is_target_gap_safe(agent, vehicles, profiles, constants):
             agent.phase = _ABORTING
             agent.num_aborts += 1
     elif has_arrived(lateral_deviation(agent, car, constants), car, turning, constants):

@@ -25,6 +25,12 @@ def insert_by_position(order: Any, rank: int, vehicles: Any) -> None:
 
 
 @internal
+def is_body_in(car: Any, lane: int) -> bool:
+    """Whether the body overlaps the lane."""
+    return bool(car.lane_low <= lane <= car.lane_high)
+
+
+@internal
 def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
     """Whether the body overlaps the lane, or the car is engaged or moving over toward it."""
     if car.lane_low <= lane <= car.lane_high:
@@ -33,6 +39,19 @@ def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
         return bool(car.moving_over != 0 and car.lane == lane)
     agent = agents[car.agent]
     return bool(agent.phase == _ENGAGED and agent.target_lane == lane)
+
+
+@internal
+def neighbor_rank(
+    rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
+) -> int:
+    """Rank of the nearest vehicle in the lane from ``rank`` on: stride -1 ahead, +1 behind."""
+    other = rank + stride
+    while 0 <= other < count:
+        if is_in_lane(vehicles[order[other]], lane, agents):
+            return other
+        other += stride
+    return NONE
 
 
 @internal

@@ -148,8 +148,10 @@ def _neighbor_feature(code: int, agent: Any, car: Any, vehicles: Any, constants:
 @internal
 def observe(
     agent: Any,
-    vehicles: Any,
     road: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
     arcs: Any,
     features: Any,
     constants: Any,
@@ -167,7 +169,9 @@ def observe(
         elif code == _TIME:
             value = (road.step - agent.born_step) * constants.time_step
         elif code == _CAR_FOLLOWING:
-            value = car_following(agent, vehicles, profiles, arcs, constants)
+            value = car_following(
+                agent, order, road.num_vehicles, vehicles, agents, profiles, arcs, constants
+            )
         elif code == _DISTANCE:
             value = constants.road_length - car.position
         else:

@@ -140,7 +140,8 @@ def judge(
             continue
         rank = find_rank(agent.vehicle, order)
         find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
-        observe(agent, vehicles, road, arcs, features, constants, profiles, observations[index])
+        seen = observations[index]
+        observe(agent, road, vehicles, order, agents, arcs, features, constants, profiles, seen)
         agent.outcome = outcome
         has_ended = True
     if has_ended:
@@ -176,7 +177,8 @@ def renew(
         agent = agents[car.agent]
         find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
         phase = agent.phase
-        change_phase(agent, vehicles, car.yaw_rate - road_turn_rate(car, arcs), constants)
+        turning = car.yaw_rate - road_turn_rate(car, arcs)
+        change_phase(agent, vehicles, turning, profiles, constants)
         has_changed = has_changed or agent.phase != phase
     rank, unseen = -1, road.num_live
     while unseen > 0:
@@ -189,7 +191,8 @@ def renew(
         agent = agents[index]
         if has_changed:
             find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
-        observe(agent, vehicles, road, arcs, features, constants, profiles, observations[index])
+        seen = observations[index]
+        observe(agent, road, vehicles, order, agents, arcs, features, constants, profiles, seen)
         follower = agent.target_follower
         if agent.phase == _ENGAGED and follower > NONE:
             nearest = vehicles[follower].changer

@@ -31,15 +31,26 @@ def _is_settled(car: Any, arcs: Any, constants: Any) -> bool:
 
 @internal
 def _is_lane_free(
-    rank: int, lane: int, order: Any, count: int, vehicles: Any, agents: Any, constants: Any
+    rank: int,
+    lane: int,
+    braking: float,
+    order: Any,
+    count: int,
+    vehicles: Any,
+    agents: Any,
+    profiles: Any,
+    constants: Any,
 ) -> bool:
-    """Whether the gap rule accepts the gaps to the vehicles ahead and behind in the lane."""
+    """Whether the gap rule accepts the gaps to the vehicles ahead and behind in the lane.
+
+    ``braking`` is its b_safe [m/s^2].
+    """
     car = vehicles[order[rank]]
     leader = neighbor_in_lane(rank, lane, -1, order, count, vehicles, agents)
-    if leader > NONE and not is_gap_safe(car, vehicles[leader], constants):
+    if leader > NONE and not is_gap_safe(car, vehicles[leader], braking, profiles, constants):
         return False
     follower = neighbor_in_lane(rank, lane, 1, order, count, vehicles, agents)
-    return follower == NONE or is_gap_safe(vehicles[follower], car, constants)
+    return follower == NONE or is_gap_safe(vehicles[follower], car, braking, profiles, constants)
 
 
 @internal
@@ -95,6 +106,8 @@ def move_over(
     without a live command begin, at 5 m/s or faster and settled in their lane.
     """
     count = road.num_vehicles
+    safe = constants.gap_safe_braking
+    accepted = safe - constants.gap_braking_margin
     for rank in range(count):
         car = vehicles[order[rank]]
         if car.moving_over != 0:
@@ -102,7 +115,7 @@ def move_over(
             if _is_settled(car, arcs, constants):
                 car.moving_over = 0
             elif not is_over_marking and not _is_lane_free(
-                rank, car.lane, order, count, vehicles, agents, constants
+                rank, car.lane, safe, order, count, vehicles, agents, profiles, constants
             ):
                 car.lane -= car.moving_over
                 car.moving_over = 0
@@ -118,7 +131,9 @@ def move_over(
             if (
                 direction != 0
                 and _is_settled(car, arcs, constants)
-                and _is_lane_free(rank, lane, order, count, vehicles, agents, constants)
+                and _is_lane_free(
+                    rank, lane, accepted, order, count, vehicles, agents, profiles, constants
+                )
                 and _has_reason(rank, lane, order, count, vehicles, agents, profiles, constants)
             ):
                 car.lane = lane

@@ -67,7 +67,7 @@ def assert_equal(one, other):
 @pytest.fixture(scope="module")
 def busy():
     """Two roads without end, their three slots in steady use; many changes fail."""
-    careless = {"minimum_gap": 0.0, "time_gap": 0.0}
+    careless = {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0}
     env = LaneChangeEnv("adversarial", 2, overrides={**BUSY, "gap": careless}, seed=1)
     return roll(env, 1500, policy(_steer_badly))
 

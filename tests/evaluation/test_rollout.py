@@ -18,7 +18,7 @@ QUICK = {
     "warmup": [20.0, 30.0],
     "departures": {"interval": [1.5, 3.0]},
     "command": {"probability": 1.0},
-    "gap": {"minimum_gap": 0.5, "time_gap": 0.1},
+    "gap": {"rule": "kinematic", "minimum_gap": 0.5, "time_gap": 0.1},
 }
 ADVERSARIAL = load_scenario("adversarial", QUICK)
 

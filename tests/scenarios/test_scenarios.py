@@ -217,7 +217,7 @@ WRONG = [
     ({"observation": {"features": ["yaw", "yaw"]}}, ["observation.features", "['yaw']", "once"]),
     ({"vehicle": {"width": 2.5}, "road": {"lane_width": 2.5}}, ["vehicle.width = 2.5", "2.5"]),
     ({"completion": {"max_deviation": 1.9}}, ["completion.max_deviation = 1.9", "3.75"]),
-    ({"drivers": {"car_following": "min"}}, ["car_following = 'min'", "'max' or 'sum'"]),
+    ({"drivers": {"car_following": "min"}}, ["car_following = 'min'", "'max', 'sum' or 'acc'"]),
 ]
 ARCS = [
     ([{"start": 10.0, "end": 5.0, "radius": 500.0}], ["start 10.0", "end 5.0"]),

@@ -13,7 +13,7 @@ from marl_lanes.traffic.state import Disposition, Phase
 
 torch.set_num_threads(1)
 
-OPEN_GAP = {"minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 1000.0}
+OPEN_GAP = {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 1000.0}
 BUSY = {"departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
 
 
@@ -96,7 +96,7 @@ def test_a_registered_name_drives_the_same_road_in_every_form():
         return brake_checker(observations)
 
     register_follower("brake-checker", counted)
-    overrides = {**mixed("brake-checker", "neutral"), **BUSY, "num_agents": 4}
+    overrides = {**mixed("brake-checker", "neutral"), **BUSY, "num_agents": 12}
     simulator = Simulator("paper", overrides=overrides, seed=5)
     simulator.reset()
     expected = {}
@@ -231,7 +231,10 @@ def count_collisions(guarded):
     policy = {"mine": lambda observations: np.full(len(observations), 3.0)}
     followers = mixed("mine", external={"is_guarded": guarded})
     simulator = Simulator(
-        "dense", 100, overrides={**followers, "num_agents": 20}, follower_policies=policy
+        "dense",
+        100,
+        overrides={**followers, "num_agents": 20, "gap": {"rule": "kinematic"}},
+        follower_policies=policy,
     )
     simulator.reset()
     num_paired = 0
@@ -334,7 +337,7 @@ def test_once_the_body_is_in_the_lane_there_is_no_delay():
 
 
 def test_an_abort_is_paid_once_and_ends_the_pairing():
-    guard = {"minimum_gap": 2.0, "time_gap": 0.0, "max_braking": 1000.0}
+    guard = {**OPEN_GAP, "minimum_gap": 2.0}
     simulator, slot = pair_of(gap=2.35, speeds=(20.0, 18.0), guard=guard)
     assert simulator.is_follower_acting[0, slot]
     terms = pay(simulator, slot, 3.0)

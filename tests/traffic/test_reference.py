@@ -51,10 +51,10 @@ CROWDED = {
     "departures": {"interval": [0.5, 1.2], "initial_speed": [6.0, 14.0]},
     "max_vehicles": 60,
     "num_slots": 6,
-    "gap": {"minimum_gap": 0.5, "time_gap": 0.1},
+    "gap": {"rule": "kinematic", "minimum_gap": 0.5, "time_gap": 0.1},
 }
 RECKLESS = {"max_acceleration": 5.0, "max_braking": 6.0, "max_speed": 30.0, "is_guarded": False}
-OPEN_GAP = {"gap": {"minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 50.0}}
+OPEN_GAP = {"gap": {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 50.0}}
 
 
 @dataclass
@@ -78,6 +78,36 @@ CASES = {
     "mixed": Case("paper", MIXED, 200, seed=1, meets=(Outcome.COMPLETED,)),
     "settled changes": Case("paper", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
     "sum": Case("dense", {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "sum"}}, 60),
+    "acc": Case(
+        "dense",
+        {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "acc", "coolness": 0.9}},
+        120,
+        meets=(Phase.WAITING, Phase.ENGAGED, Outcome.COMPLETED),
+    ),
+    "acc, crowded": Case(
+        "paper",
+        CROWDED | {"gap": {}, "drivers": {**MIXED["drivers"], "car_following": "acc"}},
+        100,
+        meets=(Phase.WAITING, Phase.ENGAGED),
+    ),
+    "kinematic": Case(
+        "dense",
+        {**MIXED, "gap": {"rule": "kinematic"}},
+        150,
+        meets=(Phase.WAITING, Phase.ENGAGED, Outcome.COMPLETED),
+    ),
+    "seeking": Case(
+        "dense",
+        {**MIXED, "followers": {"mix": {"adversarial": 1.0}}},
+        250,
+        meets=(Phase.WAITING, Phase.ABORTING, Outcome.COMPLETED),
+    ),
+    "seeking, sum": Case(
+        "paper",
+        CROWDED | {"gap": {}, "drivers": {**MIXED["drivers"], "car_following": "sum"}},
+        100,
+        meets=(Phase.WAITING, Phase.ENGAGED),
+    ),
     "busy": Case("paper", BUSY, 100, meets=(Phase.WAITING, Phase.ENGAGED)),
     "guard": Case(
         "paper",
@@ -85,7 +115,7 @@ CASES = {
         | {
             "followers": {"mix": {"adversarial": 1.0}},
             "road": {"num_lanes": 5, "length": 300.0},
-            "gap": {"minimum_gap": 0.5, "time_gap": 0.1},
+            "gap": {"rule": "kinematic", "minimum_gap": 0.5, "time_gap": 0.1},
         },
         110,
         meets=(Phase.ABORTING, Outcome.COMPLETED, Outcome.MISSED),

@@ -272,7 +272,7 @@ def test_the_interpreted_kernel_is_the_compiled_one():
         "command": {"probability": 1.0, "position": [40.0, 60.0]},
         "warmup": [12.0, 12.0],
         "road": {"arcs": [{"start": 50.0, "end": 150.0, "radius": 200.0}]},
-        "gap": {"minimum_gap": 0.0, "time_gap": 0.1},
+        "gap": {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.1},
         "completion": {"max_deviation": 1.0},
         "horizon": 9.0,
     }

@@ -16,6 +16,7 @@ BUSY = {
     "max_vehicles": 60,
     "num_slots": 8,
     "command": {"probability": 0.9},
+    "gap": {"rule": "kinematic"},
     "followers": {"mix": {"cooperative": 1.0, "neutral": 1.0, "adversarial": 1.0, "learned": 2.0}},
 }
 VEHICLE_INDICES = "vehicle", "leader", "follower", "target_leader", "target_follower"
@@ -100,7 +101,7 @@ def test_who_engages_in_this_step_is_a_follower_at_once(slots):
         overrides={
             "warmup": [0.0, 0.0],
             "road": {"num_lanes": 5},
-            "gap": {"minimum_gap": 0.0, "time_gap": 0.0},
+            "gap": {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0},
         },
     )
     simulator.reset()

@@ -8,7 +8,7 @@ from marl_lanes.scenario import list_scenarios
 from marl_lanes.traffic.simulator import Simulator
 
 NO_COMMANDS = {"command": {"probability": 0.0}}
-OPEN_GAP = {"gap": {"minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 100.0}}
+OPEN_GAP = {"gap": {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 100.0}}
 
 
 def present(simulator):
@@ -46,7 +46,7 @@ def test_ten_million_vehicle_steps_without_a_collision(name):
 
 
 @pytest.mark.parametrize("name", ["aggressive", "defensive"])
-@pytest.mark.parametrize("form", ["max", "sum"])
+@pytest.mark.parametrize("form", ["max", "sum", "acc"])
 def test_no_profile_collides_in_crowded_traffic(name, form):
     overrides = {
         **NO_COMMANDS,

@@ -67,7 +67,14 @@ STAYS = {
     "somebody fast behind": ({}, {}, ({"lane": 3, "position": 180.0, "speed": 35.0},)),
     "somebody slow ahead": ({}, {}, ({"lane": 3, "position": 212.0, "speed": 12.0},)),
     "no better there": (
-        {"gap": {"minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 50.0}},
+        {
+            "gap": {
+                "rule": "kinematic",
+                "minimum_gap": 0.0,
+                "time_gap": 0.0,
+                "max_braking": 50.0,
+            }
+        },
         {},
         ({"lane": 3, "position": 212.0, "speed": 18.0},),
     ),
@@ -105,7 +112,7 @@ def test_it_counts_as_being_in_the_lane_beyond_at_once():
     meet(
         simulator,
         {"lane": 4, "position": 203.0},
-        {"lane": 4, "position": 180.0},
+        {"lane": 4, "position": 176.0},
         {"lane": 3, "position": 60.0},
     )
     waiting = command(simulator, 2, -1, Phase.WAITING)
@@ -115,8 +122,8 @@ def test_it_counts_as_being_in_the_lane_beyond_at_once():
     assert simulator.agents[0, waiting]["target_follower"] == 0
     assert simulator.agents[0, behind]["target_leader"] == 0
     simulator.step()
-    # s* = 25.. at a gap of 15.2: it already follows the one that moves over.
-    assert simulator.vehicles[0, 3]["acceleration"] < -2.0
+    # On a free road it would speed up: it already reckons with the one that moves over.
+    assert simulator.vehicles[0, 3]["acceleration"] < 0.0
 
 
 def test_of_two_that_could_take_one_gap_the_front_one_does():
@@ -277,7 +284,7 @@ def test_a_million_vehicle_steps_without_a_collision(name):
     assert roads["num_collisions"].sum() == 0
     assert roads["num_off_road"].sum() == 0
     assert not is_commanded
-    assert roads["num_moves_over"].sum() > 15
+    assert roads["num_moves_over"].sum() > 10
     assert (roads["num_moves_returned"] <= roads["num_moves_over"]).all()
     assert 0.9 < sideways < 1.2
     assert roads["num_commands"].sum() > 400

@@ -23,7 +23,7 @@ BUSY = {
     "command": {"probability": 1.0},
     "num_slots": 4,
     "observation": {"features": FEATURES},
-    "gap": {"minimum_gap": 0.5, "time_gap": 0.1},
+    "gap": {"rule": "kinematic", "minimum_gap": 0.5, "time_gap": 0.1},
     "road": {"length": ROAD},
 }
 FAILURES = {Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD}
