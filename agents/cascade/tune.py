@@ -103,7 +103,7 @@ class Roads:
         """Yaw accelerations (N,) of observations (N, 5) with gains (N, 6)."""
         speed, deviation, yaw, yaw_rate, curvature = torch.from_numpy(seen).unbind(-1)
         each = CascadeGains(*torch.from_numpy(gains).unbind(-1))
-        steering = steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, each)
+        steering, _ = steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, each)
         return np.asarray(steering.numpy())
 
 

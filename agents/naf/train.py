@@ -131,14 +131,20 @@ def start(config: TrainingConfig) -> tuple[Learner, Scenario]:
 
 def start_network(config: TrainingConfig, scenario: Scenario) -> NAFNetwork:
     """The network as the training finds it: untrained, or that of the initial checkpoint."""
-    network = make_network(scenario, config.network.mu, config.network.hidden_sizes)
+    form = config.network
+    network = make_network(
+        scenario, form.mu, form.hidden_sizes, knows_action_cost=form.knows_action_cost
+    )
     path = config.initial_checkpoint
     # A run that is resumed has weights of its own.
     if path is None or config.resume is not None:
         return network
     initial = load_checkpoint(Path(path), scenario).network
-    for name in ("mu", "hidden_sizes"):
-        wanted, found = network.config[name], initial.config[name]
+    for name, wanted, found in (
+        ("mu", network.mu_name, initial.mu_name),
+        ("hidden_sizes", network.hidden_sizes, initial.hidden_sizes),
+        ("knows_action_cost", network.has_action_costs, initial.has_action_costs),
+    ):
         if found != wanted:
             raise ConfigError(
                 f"network.{name} = {wanted!r}: must be {found!r}, that of initial_checkpoint = "

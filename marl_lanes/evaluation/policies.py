@@ -57,7 +57,7 @@ def make_tuned_cascade_policy(scenario: Scenario) -> Policy:
     """
 
     def steer(speed: Column, deviation: Column, yaw: Column, turning: Column) -> Column:
-        steering = steer_by_cascade(
+        steering, _ = steer_by_cascade(
             torch.from_numpy(speed),
             torch.from_numpy(deviation),
             torch.from_numpy(yaw),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.naf.network import NAFNetwork
 
-FORMAT = "marl-lanes NAF policy 3"
+FORMAT = "marl-lanes NAF policy 4"
 """What a checkpoint's entry ``format`` says."""
 
 

@@ -18,6 +18,9 @@ from marl_lanes.naf.structure import Mu
 # The share of the action bound below which a_max does not fall: a_max is a divisor.
 A_MAX_FLOOR = 0.01
 
+LEAST_THRESHOLD = 1e-6
+"""[rad/s^2] Added to the threshold where it divides."""
+
 
 class _YawAcceleration(Mu):
     """A formula for one action, a yaw acceleration about zero, with a learned limit a_max."""
@@ -168,7 +171,7 @@ def steer_by_cascade(
     yaw: Tensor,
     relative_yaw_rate: Tensor,
     gains: CascadeGains[Gain],
-) -> Tensor:
+) -> tuple[Tensor, Tensor]:
     """a_max tanh(S((w_ref - w) / tau) / a_max), w_ref = (a_top / v) tanh(a_tmp / a_top).
 
     a_tmp = deviation / T^2 - 2 zeta v yaw / T is Eq. 7's with its unit taken at its word, a lateral
@@ -184,7 +187,8 @@ def steer_by_cascade(
         gains: numbers, or (..., 1) each.
 
     Returns:
-        yaw acceleration, (..., 1), within a_max [rad/s^2].
+        yaw acceleration, (..., 1), within a_max [rad/s^2]; and what S is given as a share of the
+        threshold, (..., 1), within [-1, 1].
     """
     limit, time, lateral_limit, lag, damping, threshold = gains
     speed = speed.clamp(min=1.0)
@@ -192,8 +196,9 @@ def steer_by_cascade(
     wanted = (deviation / time - 2.0 * damping * speed * yaw) / time
     reference = lateral_limit * torch.tanh(wanted / lateral_limit) / speed
     demand = (reference - relative_yaw_rate) / lag
-    demand = torch.sign(demand) * torch.relu(demand.abs() - threshold)
-    return limit * torch.tanh(demand / limit)
+    beyond = torch.sign(demand) * torch.relu(demand.abs() - threshold)
+    share = (demand / (threshold + LEAST_THRESHOLD)).clamp(-1.0, 1.0)
+    return limit * torch.tanh(beyond / limit), share
 
 
 class CascadeMu(_YawAcceleration):
@@ -255,6 +260,10 @@ class CascadeMu(_YawAcceleration):
 
     def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
         """The greedy yaw acceleration, (..., 1) [rad/s^2]."""
+        return self.act(observation, normalised)[0]
+
+    def act(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
+        """The greedy yaw acceleration [rad/s^2], and the slope of the cost |a| there."""
         speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
         gains = self.gains(speed, normalised)
         return steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, gains)

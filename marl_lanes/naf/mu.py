@@ -95,6 +95,12 @@ class ComposedMu(Mu):
         parts = (self.lateral, self.longitudinal)
         return torch.cat([part(observation, normalised) for part in parts], dim=-1)
 
+    def act(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
+        """The greedy accelerations, and the slopes of the cost of each, (..., 2) each."""
+        parts = (self.lateral, self.longitudinal)
+        mu, slope = zip(*(part.act(observation, normalised) for part in parts), strict=True)
+        return torch.cat(mu, dim=-1), torch.cat(slope, dim=-1)
+
 
 class Structure(NamedTuple):
     """A row of STRUCTURES."""

@@ -21,7 +21,12 @@ INITIAL_LOG_DIAGONAL = 0.5
 
 
 class NAFNetwork(TensorDictModuleBase):
-    """Q(s, a) = (mu(s) - a)^T M(s) (mu(s) - a) + V(s), with M = -L L^T negative definite.
+    """Q(s, a) = (mu(s) - a)^T M(s) (mu(s) - a) - D(a, mu(s)) + V(s), M = -L L^T negative definite.
+
+    D = sum_i c_i (|a_i| - |mu_i| - g_i (a_i - mu_i)), g a slope of |a| at mu, is how far the cost
+    c_i |a_i| that the reward charges for an action lies above its tangent at mu: 0 there, nowhere
+    negative, so that the maximum of Q is V at a = mu with it as without it. Without it (c = 0, Eq.
+    5) a parabola has to stand for the kink of |a|: under noise its top lies too low where mu is 0.
 
     L is lower triangular with an exponential diagonal. M acts on actions in units of the box's
     half-range and is therefore unit-free. Three separate (groups of) tanh networks give mu, L's
@@ -45,6 +50,8 @@ class NAFNetwork(TensorDictModuleBase):
         hidden_sizes: widths of the hidden layers of every network.
         offsets: observation offsets, one a feature, in its unit; zeros where not given.
         scales: observation scales, one a feature, positive, in its unit; ones where not given.
+        action_costs: c, the weights of |a| in the reward, (action_dim,), for a unit of the action,
+            not negative; zeros where not given.
         observation_key: where observations are read, (..., len(features)).
         action_key: where actions are read, (..., action_dim).
         greedy_action_key: where the greedy action is written.
@@ -86,6 +93,7 @@ class NAFNetwork(TensorDictModuleBase):
         hidden_sizes: Sequence[int] = (64, 64),
         offsets: Sequence[float] | Tensor | None = None,
         scales: Sequence[float] | Tensor | None = None,
+        action_costs: Sequence[float] | None = None,
         observation_key: NestedKey = "observation",
         action_key: NestedKey = "action",
         greedy_action_key: NestedKey = "greedy_action",
@@ -107,6 +115,8 @@ class NAFNetwork(TensorDictModuleBase):
         self.hidden_sizes = list(hidden_sizes)
 
         self.box = ActionBox(action_low, action_high)
+        self.action_costs = _checked_costs(action_costs, self.action_dim)
+        self.has_action_costs = any(self.action_costs)
         self.normalise = Normaliser(self.features, offsets, scales)
         self.mu = make_mu(mu, self.features, self.box, self.hidden_sizes)
         actions = self.action_dim
@@ -131,6 +141,7 @@ class NAFNetwork(TensorDictModuleBase):
             "hidden_sizes": list(self.hidden_sizes),
             "offsets": self.normalise.offset.tolist(),
             "scales": self.normalise.scale.tolist(),
+            "action_costs": list(self.action_costs),
             "observation_key": self.observation_key,
             "action_key": self.action_key,
             "greedy_action_key": self.greedy_action_key,
@@ -150,15 +161,15 @@ class NAFNetwork(TensorDictModuleBase):
         observation = tensordict.get(self.observation_key)
         action = tensordict.get(self.action_key, default=None)
         normalised = self.normalise(observation)
-        mu = self._mu(observation, normalised)
+        mu, slope = self._mu(observation, normalised)
         value = self.value(normalised)
         tensordict.set(self.greedy_action_key, self.box(mu))
         factor = None
         if action is not None:
             factor = self._factor(normalised)
-            q = value - self._penalty(factor, mu, action)
+            q = value - self._penalty(factor, mu, slope, action)
             tensordict.set(self.action_value_key, q)
-        tensordict.set(self.value_key, value - self._clipping(normalised, mu, factor))
+        tensordict.set(self.value_key, value - self._clipping(normalised, mu, slope, factor))
         return tensordict
 
     def action_value(self, observation: Tensor, action: Tensor) -> Tensor:
@@ -172,8 +183,8 @@ class NAFNetwork(TensorDictModuleBase):
             state-action values, (..., 1).
         """
         normalised = self.normalise(observation)
-        mu = self._mu(observation, normalised)
-        penalty = self._penalty(self._factor(normalised), mu, action)
+        mu, slope = self._mu(observation, normalised)
+        penalty = self._penalty(self._factor(normalised), mu, slope, action)
         value: Tensor = self.value(normalised)
         return value - penalty
 
@@ -195,9 +206,9 @@ class NAFNetwork(TensorDictModuleBase):
             with params.to_module(self, preserve_module_state=False):
                 return self.max_value(observation)
         normalised = self.normalise(observation)
-        mu = self._mu(observation, normalised)
+        mu, slope = self._mu(observation, normalised)
         value = self.value(normalised)
-        return value - self._clipping(normalised, mu, None)
+        return value - self._clipping(normalised, mu, slope, None)
 
     def cholesky(self, observation: Tensor) -> Tensor:
         """L of M = -L L^T, in units of the box's half-range, (..., action_dim, action_dim)."""
@@ -226,14 +237,14 @@ class NAFNetwork(TensorDictModuleBase):
     def _mu_inside_box(self) -> bool:
         return getattr(self.mu, "inside_box", False)
 
-    def _mu(self, observation: Tensor, normalised: Tensor) -> Tensor:
-        mu: Tensor
-        if not self.mu_frozen:
-            mu = self.mu(observation, normalised)
-            return mu
-        with torch.no_grad():
-            mu = self.mu(observation, normalised)
-        return mu
+    def _mu(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
+        """Mu and the slope of the actions' cost there, without a gradient where mu is frozen."""
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.mu_frozen):
+            if self.has_action_costs:
+                mu, slope = self.mu.act(observation, normalised)
+            else:
+                mu = slope = self.mu(observation, normalised)
+        return mu, slope
 
     def _factor(self, normalised: Tensor) -> Tensor:
         """L, (..., action_dim, action_dim); of one action its only entry, (..., 1)."""
@@ -250,12 +261,13 @@ class NAFNetwork(TensorDictModuleBase):
         factor[..., rows, columns] = ratios * diagonal[..., rows]
         return factor
 
-    def _penalty(self, factor: Tensor, mu: Tensor, action: Tensor) -> Tensor:
-        """V - Q = |L^T (mu - a) / half_range|^2, (..., 1): never negative, whatever the rounding.
+    def _penalty(self, factor: Tensor, mu: Tensor, slope: Tensor, action: Tensor) -> Tensor:
+        """V - Q = |L^T (mu - a) / half_range|^2 + D(a, mu), (..., 1): never negative.
 
         Args:
             factor: what `_factor` returns.
             mu: (..., action_dim).
+            slope: of |a| at mu, (..., action_dim); not read without costs.
             action: (..., action_dim).
         """
         if action.shape != mu.shape:
@@ -264,16 +276,33 @@ class NAFNetwork(TensorDictModuleBase):
             )
         distance = (mu - action) / self.box.half_range
         if self.action_dim == 1:
-            return (factor * distance).square()
-        return (factor.mT @ distance.unsqueeze(-1)).square().sum(-2)
+            penalty = (factor * distance).square()
+        else:
+            penalty = (factor.mT @ distance.unsqueeze(-1)).square().sum(-2)
+        if not self.has_action_costs:
+            return penalty
+        # |mu| - g mu is 0; without it rounding would not cancel near mu.
+        bend = action.abs() - slope * action
+        cost = sum(c * bend[..., i : i + 1] for i, c in enumerate(self.action_costs) if c)
+        return penalty + cost
 
-    def _clipping(self, normalised: Tensor, mu: Tensor, factor: Tensor | None) -> Tensor | float:
+    def _clipping(
+        self, normalised: Tensor, mu: Tensor, slope: Tensor, factor: Tensor | None
+    ) -> Tensor | float:
         """What Q at the clipped mu loses against V."""
         if self._mu_inside_box:
             return 0.0
         if factor is None:
             factor = self._factor(normalised)
-        return self._penalty(factor, mu, self.box(mu))
+        return self._penalty(factor, mu, slope, self.box(mu))
+
+
+def _checked_costs(costs: Sequence[float] | None, number: int) -> list[float]:
+    """The actions' costs, or a ValueError."""
+    found = [0.0] * number if costs is None else [float(cost) for cost in costs]
+    if len(found) != number or not all(0.0 <= cost < float("inf") for cost in found):
+        raise ValueError(f"action_costs = {costs}: must be {number} finite numbers, not negative")
+    return found
 
 
 class Normaliser(nn.Module):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor, nn
 
 
@@ -25,6 +26,15 @@ class Mu(nn.Module):
                     f"mu {name!r} needs the feature {feature!r}, got {', '.join(features)}"
                 )
         self.columns = [list(features).index(feature) for feature in self.needs]
+
+    def act(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
+        """The greedy action mu and the slope of the cost |a| there, (..., action_dim) each.
+
+        The slope is a subgradient: the sign of mu where it is not 0, and where it is 0, anything in
+        [-1, 1]. A structure that can say exactly 0 tells by it how near it is to doing something.
+        """
+        mu = self(observation, normalised)
+        return mu, torch.sign(mu)
 
     def read(self, observation: Tensor) -> list[Tensor]:
         """The columns that the formula needs, each (..., 1), in the order of `needs`."""

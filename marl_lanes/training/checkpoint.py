@@ -16,14 +16,36 @@ _HIDDEN_SIZES = (64, 64)
 
 
 def make_network(
-    scenario: Scenario, mu: str, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
+    scenario: Scenario,
+    mu: str,
+    hidden_sizes: Sequence[int] = _HIDDEN_SIZES,
+    *,
+    knows_action_cost: bool = True,
 ) -> NAFNetwork:
-    """An untrained network of the changers, for their features and action bounds."""
+    """An untrained network of the changers, for their features and action bounds.
+
+    Args:
+        scenario: whose changers it drives.
+        mu: structure of mu.
+        hidden_sizes: widths of the hidden layers of each network.
+        knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
+            of the yaw acceleration in it; otherwise it is a plain parabola.
+    """
     features = scenario.observation.features
     offsets, scales = feature_scaling(features)
     low, high = (bound.tolist() for bound in action_bounds(scenario))
+    costs = [0.0] * len(low)
+    if knows_action_cost and mu.startswith("cascade"):
+        costs[0] = scenario.reward.acceleration_weight
     return NAFNetwork(
-        features, low, high, mu=mu, hidden_sizes=hidden_sizes, offsets=offsets, scales=scales
+        features,
+        low,
+        high,
+        mu=mu,
+        hidden_sizes=hidden_sizes,
+        offsets=offsets,
+        scales=scales,
+        action_costs=costs,
     )
 
 

@@ -154,7 +154,9 @@ class NetworkConfig:
     """Form of the NAF network."""
 
     mu: str = MISSING
-    """paper, damped or mlp; with two actions paper or damped with +idm or +mlp, or mlp."""
+    """cascade, paper, damped or mlp; with two actions the first three with +idm or +mlp, or mlp."""
+    knows_action_cost: bool = MISSING
+    """Whether Q has the reward's own cost of the yaw acceleration in it; with mu cascade alone."""
     hidden_sizes: list[int] = MISSING
     """Widths of the hidden layers of every network."""
 

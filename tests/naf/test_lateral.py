@@ -89,9 +89,10 @@ CASES = [
 def test_the_cascade_is_its_formula():
     gains = CascadeGains(0.4, 1.7, 0.6, 0.2, 0.8, 0.015)
     columns = torch.tensor(CASES, dtype=torch.float64).T[..., None]
-    found = steer_by_cascade(*columns, gains)
+    found, slope = steer_by_cascade(*columns, gains)
     expected = [[cascade(*case, gains)] for case in CASES]
     torch.testing.assert_close(found, torch.tensor(expected, dtype=torch.float64))
+    assert torch.equal(slope, torch.sign(found))
     assert found.abs().min() > 0.0
     assert found.abs().max() < 0.4
 
@@ -102,8 +103,11 @@ def test_the_cascade_says_exactly_zero_where_little_is_to_be_gained():
     reference = 0.5 / 22 * math.tanh(1.0 / 1.53**2 / 0.5)
     turning = reference - 0.13 * torch.tensor([0.0, 0.0199, -0.0199, 0.0201, -0.0201])[:, None]
     columns = [torch.full((5, 1), value) for value in (22.0, 1.0, 0.0)]
-    found = steer_by_cascade(*columns, turning, gains).flatten()
+    found, slope = (part.flatten() for part in steer_by_cascade(*columns, turning, gains))
     assert found[:3].tolist() == [0.0, 0.0, 0.0]
+    # How near it is to doing something, as a share of the threshold.
+    expected = torch.tensor([0.0, 0.995, -0.995, 1.0, -1.0])
+    torch.testing.assert_close(slope, expected, atol=1e-3, rtol=0)
     torch.testing.assert_close(found[3:], torch.tensor([1e-4, -1e-4]), rtol=0.1, atol=0)
 
 
@@ -211,7 +215,7 @@ def drive_by_cascade(gains, deviation, yaw, speed, seconds, dt=0.1):
     yaw_rate = torch.zeros_like(speed)
     deviations = []
     for _ in range(round(seconds / dt)):
-        yaw_rate = yaw_rate + steer_by_cascade(speed, deviation, yaw, yaw_rate, gains) * dt
+        yaw_rate = yaw_rate + steer_by_cascade(speed, deviation, yaw, yaw_rate, gains)[0] * dt
         yaw = yaw + yaw_rate * dt
         deviation = deviation - speed * yaw * dt
         deviations.append(deviation)
