@@ -176,8 +176,32 @@ class Road:
     def curvature(self, position):
         for arc in self.scenario.road.arcs:
             if arc.start <= position < arc.end:
-                return 1.0 / arc.radius
+                return shape(arc, position) / arc.radius
         return 0.0
+
+    def curve_speed(self, position, lateral, preview, a_lat, b):
+        """The least over places ahead of the speed there, and of braking b down to it."""
+        squares = [math.inf]
+        for arc in self.scenario.road.arcs:
+            length = arc.transition
+            # Where the clothoid ends, the edges of the preview, and where the derivative is 0.
+            places = [arc.start + length, position, position + preview]
+            places.append(arc.start + math.sqrt(a_lat * length * abs(arc.radius) / (2 * b)))
+            for place in places:
+                # What lies beyond the clothoid at the beginning is not sharper than its end.
+                is_ahead = max(arc.start, position) <= place < arc.end
+                if is_ahead and (place == position or place <= arc.start + length):
+                    bend = shape(arc, place)
+                    radius = abs(arc.radius / bend - lateral) if bend > 0.0 else math.inf
+                    squares.append(a_lat * radius + 2 * b * max(0.0, place - position - preview))
+        return math.sqrt(min(squares))
+
+    def in_curves(self, car, b):
+        """The acceleration toward the curve's speed."""
+        a_lat = self.scenario.drivers.profiles[car.profile].comfortable_lateral_acceleration
+        b = min(b, self.scenario.vehicle.max_braking)
+        allowed = self.curve_speed(car.position, car.lateral_position, car.speed, a_lat, b)
+        return (allowed - car.speed) / 0.5
 
     def turn_rate(self, car):
         """Of the road under the car: c s'."""
@@ -299,6 +323,7 @@ class Road:
             plain["headway"] = gentle.time_headway
             yielding = self.follow(car, car.changer, profile, **plain)
             wanted = min(wanted, yielding if is_body_in else max(yielding, -gentle.max_braking))
+        wanted = min(wanted, self.in_curves(car, profile.comfortable_braking))
         return max(wanted, -self.scenario.vehicle.max_braking)
 
     def drive(self, car, actions, follower_actions):
@@ -338,7 +363,7 @@ class Road:
                 desired = rule.minimum_gap + max(0.0, rule.time_gap * car.speed + dynamic)
                 share = desired / max(self.gap(car, front), CONTACT_GAP)
                 allowed.append(a_m * (1.0 - share**2))
-        return min(allowed)
+        return min(*allowed, self.in_curves(car, rule.max_braking))
 
     def would_follow(self, agent):
         """Car following of an agent's car as it stands, toward the neighbors of the agent."""
@@ -354,6 +379,7 @@ class Road:
         if front is not None and is_changing:
             toward = self.follow(car, front, profile, **style)
             wanted = min(wanted, max(toward, self.hold(car)))
+        wanted = min(wanted, self.in_curves(car, profile.comfortable_braking))
         return self.no_reversing(car, max(wanted, -self.scenario.vehicle.max_braking))
 
     def no_reversing(self, car, acceleration):
@@ -707,6 +733,10 @@ class Road:
             slot = next(slot for slot in range(scenario.max_vehicles) if slot not in taken)
             car = Car(self.counts["num_entered"], slot, 0.0, self.centre(lane), speed, 0.0, 0.0,
                       0.0, 0.0, 0.0, 0.0, lane, name, Disposition.NEUTRAL)  # fmt: skip
+            driver = scenario.drivers.profiles[name]
+            b = min(driver.comfortable_braking, scenario.vehicle.max_braking)
+            a_lat, at = driver.comfortable_lateral_acceleration, car.lateral_position
+            car.speed = min(speed, self.curve_speed(0.0, at, speed, a_lat, b))
             car.yaw_rate = self.turn_rate(car)
             in_lane = [other for other in self.cars if self.is_in(other, lane)]
             profile = scenario.drivers.profiles[name]
@@ -913,6 +943,13 @@ def fastest(way, speed, limit, top):
         cruise = way - (2.0 * top**2 - speed**2) / (2.0 * limit)
         return (top - speed) / limit + top / limit + cruise / top
     return (peak - speed) / limit + peak / limit
+
+
+def shape(arc, position):
+    """An arc's curvature over that between its clothoids, 0 to 1."""
+    if arc.transition == 0.0:
+        return 1.0
+    return min(1.0, (position - arc.start) / arc.transition, (arc.end - position) / arc.transition)
 
 
 def overlap_area(subject, clip):

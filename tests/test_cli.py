@@ -282,12 +282,12 @@ def test_the_gap_under_every_follower_is_printed_written_and_drawn(capsys, folde
     assert files(folder) - before == {"gaps.json", "gaps.png"}
     result = json.loads((folder / "gaps.json").read_text(encoding="utf-8"))
     assert list(result["followers"]) == ["cooperative", "neutral", "adversarial"]
-    assert (result["policy"], result["seed"]) == ("damped-prior", 1)
+    assert (result["policy"], result["seed"]) == ("tuned-cascade", 1)
     rows = [line.split()[0] for line in captured.out.splitlines() if line]
     assert rows[-3:] == ["cooperative", "neutral", "adversarial"]
     assert f"maneuver {result['maneuver']}" in captured.out
     wanted = ["--maneuver", str(result["maneuver"]), "--followers", "neutral", "adversarial"]
-    assert main([*FOLLOWERS, *outputs, *wanted, "--policy", "damped-prior"]) == 0
+    assert main([*FOLLOWERS, *outputs, *wanted, "--policy", "tuned-cascade"]) == 0
     again = json.loads((folder / "gaps.json").read_text(encoding="utf-8"))
     assert again["followers"]["neutral"]["shown"] == result["followers"]["neutral"]["shown"]
 

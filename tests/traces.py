@@ -14,7 +14,8 @@ def trace(count, **columns):
     rows = np.zeros(count, TRACE)
     rows["step"] = np.arange(1, count + 1)
     rows["phase"] = Phase.ENGAGED
-    rows["speed"] = 20.0
+    rows["speed"] = rows["speed_before"] = 20.0
+    rows["direction"] = 1
     rows["deviation_before"] = 3.75
     for side in _SIDES:
         rows[f"{side}_gap"], rows[f"{side}_speed"] = np.inf, np.nan

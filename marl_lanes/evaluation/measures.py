@@ -77,7 +77,7 @@ def measure(
     turning = trace["yaw_rate"] - trace["road_turn_rate"]
     speed = trace["speed"]
     lateral_acceleration = speed * turning
-    turning_before = trace["yaw_rate_before"] - trace["road_turn_rate"]
+    turning_before = trace["yaw_rate_before"] - trace["road_turn_rate_before"]
     returns = [
         float(trace[f"reward_{name}"].sum()) for name in ("acceleration", "yaw_rate", "deviation")
     ]
@@ -138,16 +138,17 @@ def _optimal_return(maneuver: Maneuver, scenario: Scenario) -> float:
     trace = maneuver.trace
     aborted = np.flatnonzero(trace["phase"] == Phase.ABORTING)
     last = trace[aborted[-1] + 1 :] if aborted.size else trace
+    first = last[0]
     optimum = optimal_lane_change(
+        scenario,
         last["speed"],
-        time_step=scenario.time_step,
-        deviation=float(last["deviation_before"][0]),
-        yaw=float(last["yaw_before"][0]),
-        yaw_rate=float(last["yaw_rate_before"][0]),
-        curvature=last["curvature"],
-        max_yaw_acceleration=scenario.action.max_yaw_acceleration,
-        reward=scenario.reward,
-        completion=scenario.completion,
+        deviation=float(first["deviation_before"]),
+        yaw=float(first["yaw_before"]),
+        yaw_rate=float(first["yaw_rate_before"]),
+        direction=int(first["direction"]),
+        initial_speed=float(first["speed_before"]),
+        position=float(first["position_before"]),
+        lateral_position=float(first["lateral_position_before"]),
     )
     return optimum.total_return
 

@@ -56,9 +56,15 @@ def make_tuned_cascade_policy(scenario: Scenario) -> Policy:
         ScenarioError: a feature that it needs is not observed.
     """
 
-    def steer(*columns: Column) -> Column:
-        tensors = [torch.from_numpy(column) for column in columns]
-        return np.asarray(steer_by_cascade(*tensors, gains=TUNED_CASCADE).numpy())
+    def steer(speed: Column, deviation: Column, yaw: Column, turning: Column) -> Column:
+        steering = steer_by_cascade(
+            torch.from_numpy(speed),
+            torch.from_numpy(deviation),
+            torch.from_numpy(yaw),
+            torch.from_numpy(turning),
+            TUNED_CASCADE,
+        )
+        return np.asarray(steering.numpy())
 
     return _make_steering_policy(scenario, "tuned-cascade", steer)
 

@@ -13,6 +13,7 @@ from marl_lanes.evaluation.aftermath import Aftermath, Watch
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.traffic.counterfactual import accelerations_without_change
 from marl_lanes.traffic.external import FollowerPolicy
+from marl_lanes.traffic.kinematics import road_turning
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.traffic.state import NONE, CollisionKind, Outcome, Phase
 
@@ -24,12 +25,18 @@ TRACE = np.dtype(
         ("env", "i8"),
         ("command", "i8"),
         ("step", "i8"),  # of the road, after the step
+        ("direction", "i4"),  # +1 to the left, -1 to the right
         ("phase", "i4"),  # in which the agent acted
+        # Before the step, in the road frame.
+        ("position_before", "f8"),
+        ("lateral_position_before", "f8"),
+        ("speed_before", "f8"),
         # Before the step, in the maneuver frame.
         ("deviation_before", "f8"),
         ("yaw_before", "f8"),
         ("yaw_rate_before", "f8"),
         ("curvature", "f8"),
+        ("road_turn_rate_before", "f8"),
         ("acceleration_before", "f8"),
         ("follower_gap_before", "f8"),  # inf where there is none
         # After the step, in the maneuver frame.
@@ -118,13 +125,17 @@ class _Recorder:
         rows = np.zeros(envs.size, TRACE)
         rows["env"], rows["command"], rows["phase"] = envs, agents["command"], agents["phase"]
         direction = agents["direction"]
+        rows["direction"], rows["speed_before"] = direction, cars["speed"]
+        rows["position_before"] = cars["position"]
+        rows["lateral_position_before"] = cars["lateral_position"]
         rows["deviation_before"] = self._deviation(agents, cars, agents["phase"])
         rows["yaw_before"] = direction * cars["yaw"]
         rows["yaw_rate_before"] = direction * cars["yaw_rate"]
         rows["acceleration_before"] = cars["acceleration"]
-        rows["curvature"] = direction * self._curvature(cars["position"])
+        curvature, turn_rate = road_turning(cars, simulator.parameters.arcs)
+        rows["curvature"] = direction * curvature
+        rows["road_turn_rate_before"] = direction * turn_rate
         rows["follower_gap_before"] = self._gap(envs, cars, agents["target_follower"], -1.0)
-        rows["road_turn_rate"] = rows["curvature"] * cars["speed"]
         without = accelerations_without_change(simulator.state, simulator.parameters)
         self._pending = rows, envs, slots
         self._without = [found[envs, slots] for found in without]
@@ -142,6 +153,8 @@ class _Recorder:
         rows["lateral_deviation"] = self._deviation(agents, cars, rows["phase"])
         for name in ("yaw", "yaw_rate", "yaw_acceleration"):
             rows[name] = direction * cars[name]
+        _, turn_rate = road_turning(cars, simulator.parameters.arcs)
+        rows["road_turn_rate"] = direction * turn_rate
         target = agents["target_lane"]
         origin = agents["origin_lane"]
         rows["position"] = cars["position"]
@@ -223,12 +236,6 @@ class _Recorder:
         length = self.simulator.scenario.vehicle.length
         gap = sign * (others["position"] - cars["position"]) - length
         return np.where(slot == NONE, np.inf, gap)
-
-    def _curvature(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        curvature = np.zeros_like(position)
-        for arc in self.simulator.scenario.road.arcs:
-            curvature[(arc.start <= position) & (position < arc.end)] = 1.0 / arc.radius
-        return curvature
 
     def finish(self) -> list[Maneuver]:
         """The maneuvers in the order of road and command, with their traces."""

@@ -157,9 +157,9 @@ class CascadeGains(NamedTuple, Generic[Gain]):
 
 
 TUNED_CASCADE = CascadeGains(
-    limit=0.5, time=1.53, lateral_limit=0.50, lag=0.13, damping=0.687, threshold=0.02
+    limit=0.5, time=1.38, lateral_limit=0.58, lag=0.10, damping=0.775, threshold=0.031
 )
-"""Gains found by a cross-entropy search on the settled change at constant speed, straight road."""
+"""Found by a cross-entropy search on the settled change, over the speeds of recorded traffic."""
 
 
 def steer_by_cascade(
@@ -210,7 +210,7 @@ class CascadeMu(_YawAcceleration):
     limit_floor = 0.4
     times = (1.0, 2.5)
     lateral_limits = (0.3, 1.0)
-    lags = (0.1, 0.25)
+    lags = (0.08, 0.25)
     dampings = (0.5, 1.4)
     max_threshold = 0.05
     max_held_back = 0.2

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from marl_lanes.scenario.curves import Arc, deviation_in_curves
 from marl_lanes.scenario.fields import (
     Count,
     NonNegative,
@@ -22,16 +23,6 @@ from marl_lanes.scenario.fields import (
     has_weight,
 )
 from marl_lanes.scenario.followers import Followers
-
-
-class Arc(Section):
-    """A stretch of constant curvature."""
-
-    start: NonNegative = Field(description="where the arc begins [m], >= 0, < end")
-    end: Positive = Field(description="where the arc ends [m], > start, <= road.length")
-    radius: Real = Field(
-        description="radius at the road's right edge [m], |radius| >= 50; positive bends left"
-    )
 
 
 class Road(Section):
@@ -57,6 +48,11 @@ class Road(Section):
                     f"arcs: |radius| = {abs(arc.radius)} must be at least 50 m and twice "
                     "the road's width"
                 )
+            if 2.0 * arc.transition > arc.end - arc.start:
+                raise ValueError(
+                    f"arcs: transition = {arc.transition} of the arc from {arc.start} to {arc.end} "
+                    f"must be at most half of its length, {(arc.end - arc.start) / 2.0}"
+                )
         for first, second in pairwise(self.arcs):
             if first.end > second.start:
                 raise ValueError(
@@ -80,23 +76,34 @@ class Vehicle(Section):
 
 
 class DriverProfile(Section):
-    """An IDM parameter set (Eq. 9)."""
+    """An IDM parameter set (Eq. 9), and how fast the driver takes a curve."""
 
     minimum_gap: Positive = Field(5.0, description="s0, gap at standstill [m], > 0")
     time_headway: Positive = Field(1.0, description="T, time gap to the leader [s], > 0")
     max_acceleration: Positive = Field(2.0, le=10.0, description="a_m [m/s^2], > 0 to 10")
     comfortable_braking: Positive = Field(1.5, description="b [m/s^2], > 0")
     exponent: Positive = Field(4.0, ge=1.0, description="delta [1], >= 1")
+    comfortable_lateral_acceleration: Positive = Field(
+        2.0, ge=0.2, le=4.0, description="v^2 |curvature| in a curve at most [m/s^2], 0.2 to 4"
+    )
 
 
 def _default_profiles() -> dict[str, DriverProfile]:
     return {
         "normal": DriverProfile(),
         "aggressive": DriverProfile(
-            minimum_gap=3.0, time_headway=0.6, max_acceleration=3.0, comfortable_braking=2.5
+            minimum_gap=3.0,
+            time_headway=0.6,
+            max_acceleration=3.0,
+            comfortable_braking=2.5,
+            comfortable_lateral_acceleration=3.0,
         ),
         "defensive": DriverProfile(
-            minimum_gap=6.0, time_headway=1.6, max_acceleration=1.4, comfortable_braking=1.2
+            minimum_gap=6.0,
+            time_headway=1.6,
+            max_acceleration=1.4,
+            comfortable_braking=1.2,
+            comfortable_lateral_acceleration=1.5,
         ),
     }
 
@@ -429,9 +436,42 @@ class Scenario(Section):
                 f"must be at least 0.14 pole = {0.14 * self.lane_keeping.pole:.4g}: below that "
                 "it saturates and swings up"
             )
+        self._check_curves()
         if self.completion.max_deviation >= self.road.lane_width / 2.0:
             raise ValueError(
                 f"completion.max_deviation = {self.completion.max_deviation} must be below half "
                 f"of road.lane_width = {self.road.lane_width}"
             )
         return self
+
+    def _check_curves(self) -> None:
+        """Refuse curves in which lane keeping would lose its lane."""
+        room = 0.8 * (self.road.lane_width - self.vehicle.width) / 2.0
+        speeds = [self.departures.initial_speed[1], self.followers.external.max_speed]
+        speeds.append(
+            self.departures.desired_speed[1] * self.followers.adversarial.desired_speed_factor
+        )
+        if self.action.longitudinal is not None:
+            speeds.append(self.action.longitudinal.max_speed)
+        for name, profile in self.drivers.profiles.items():
+            if self.drivers.mix.get(name, 0.0) == 0.0:
+                continue
+            lateral = profile.comfortable_lateral_acceleration
+            deviations = deviation_in_curves(
+                self.road.arcs,
+                road_width=self.road.num_lanes * self.road.lane_width,
+                lateral_acceleration=lateral,
+                top_speed=max(speeds),
+                pole=self.lane_keeping.pole,
+                max_yaw_acceleration=self.lane_keeping.max_yaw_acceleration,
+            )
+            for arc, deviation in zip(self.road.arcs, deviations, strict=True):
+                if deviation > room:
+                    raise ValueError(
+                        f"road.arcs: radius = {arc.radius} from {arc.start} with transition = "
+                        f"{arc.transition} must be driven within {room:.3g} m of the lane's "
+                        f"centre: a driver {name!r} of comfortable_lateral_acceleration = "
+                        f"{lateral} is carried off by {deviation:.3g} m; a longer transition, a "
+                        "larger radius, less lateral acceleration or a larger lane_keeping.pole "
+                        "helps"
+                    )

@@ -1,6 +1,5 @@
 """What a lane changer and the driver behind it would do if the change did not take place."""
 
-import math
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -9,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_lanes.traffic.compiled import compiled, entry_point, internal
-from marl_lanes.traffic.followers import drive_alone
-from marl_lanes.traffic.parameters import CONSTANTS, PROFILE, Parameters
+from marl_lanes.traffic.followers import comfortable_in_curves, drive_alone
+from marl_lanes.traffic.parameters import ARC, CONSTANTS, PROFILE, Parameters
 from marl_lanes.traffic.state import AGENT, NONE, ROAD, VEHICLE, Phase, State, structure
 
 _ENGAGED = int(Phase.ENGAGED)
@@ -23,8 +22,8 @@ def accelerations_without_change(
 
     The changer follows the nearest body ahead in its origin lane alone. The driver behind it in
     the target lane follows the nearest body ahead in the lanes of its own body, the changer left
-    out, by the parameters of its profile whatever its disposition is. Neither brakes harder than
-    ``vehicle.max_braking``.
+    out, by the parameters of its profile whatever its disposition. Both slow down for curves, and
+    neither brakes harder than ``vehicle.max_braking``.
 
     Returns:
         Of the changer and of the follower, each (E, A) float64 [m/s^2]; nan where the agent does
@@ -33,7 +32,8 @@ def accelerations_without_change(
     changers = np.full(state.agents.shape, np.nan)
     followers = np.full(state.agents.shape, np.nan)
     tables = state.roads, state.vehicles, state.order, state.agents
-    _kernel()(*tables, parameters.profiles, parameters.constants, changers, followers)
+    given = parameters.profiles, parameters.arcs, parameters.constants
+    _kernel()(*tables, *given, changers, followers)
     return changers, followers
 
 
@@ -42,9 +42,11 @@ def _kernel() -> Callable[..., None]:
     """``_imagine`` for the types that it is always called with."""
     roads, order = np.empty(1, structure(ROAD)), np.empty((1, 1), np.uint32)
     vehicles, agents = (np.empty((1, 1), structure(table)) for table in (VEHICLE, AGENT))
-    profiles, constants = (np.empty(1, structure(table)) for table in (PROFILE, CONSTANTS))
+    profiles, arcs, constants = (
+        np.empty(1, structure(table)) for table in (PROFILE, ARC, CONSTANTS)
+    )
     found = np.empty((1, 1))
-    types = (roads, vehicles, order, agents, profiles, constants, found, found)
+    types = (roads, vehicles, order, agents, profiles, arcs, constants, found, found)
     return entry_point(_imagine, types)
 
 
@@ -68,6 +70,7 @@ def _imagine(
     order: Any,
     agents: Any,
     profiles: Any,
+    arcs: Any,
     constants: Any,
     changers: Any,
     followers: Any,
@@ -82,12 +85,13 @@ def _imagine(
             car = cars[agent.vehicle]
             front = _body_ahead(agent.vehicle, agent.origin_lane, NONE, order[env], count, cars)
             alone = drive_alone(car, profiles[car.profile], front, cars, c)
-            changers[env, index] = max(alone, -c.max_braking)
+            bent = comfortable_in_curves(car, profiles[car.profile], arcs, c)
+            changers[env, index] = max(min(alone, bent), -c.max_braking)
             slot = agent.target_follower
             if slot == NONE:
                 continue
             behind = cars[slot]
-            smallest = math.inf
+            smallest = comfortable_in_curves(behind, profiles[behind.profile], arcs, c)
             for lane in range(behind.lane_low, behind.lane_high + 1):
                 front = _body_ahead(slot, lane, agent.vehicle, order[env], count, cars)
                 alone = drive_alone(behind, profiles[behind.profile], front, cars, c)

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from marl_lanes.traffic.compiled import internal
+from marl_lanes.traffic.curves import entry_speed
 from marl_lanes.traffic.idm import interaction_term
 from marl_lanes.traffic.kinematics import half_extent, lane_centre, occupy, road_turn_rate
 from marl_lanes.traffic.neighbors import bumper_gap, neighbor_in_lane
@@ -39,7 +40,7 @@ def has_room(front: Any, entering: Any, profile: Any, constants: Any) -> bool:
 
 
 @internal
-def _place(car: Any, lane: int, lane_record: Any, arcs: Any, constants: Any) -> None:
+def _place(car: Any, lane: int, lane_record: Any, profiles: Any, arcs: Any, constants: Any) -> None:
     """Put a vehicle at the lane's beginning."""
     car.position = 0.0
     car.lateral_position = lane_centre(lane, constants.lane_width)
@@ -53,6 +54,8 @@ def _place(car: Any, lane: int, lane_record: Any, arcs: Any, constants: Any) -> 
     car.changer = NONE
     car.moving_over = 0
     car.fate = _STAYS
+    if arcs.shape[0] > 0:
+        car.speed = entry_speed(car, profiles[car.profile], arcs, constants)
     car.yaw_rate = road_turn_rate(car, arcs)
     occupy(car, half_extent(0.0, constants), constants)
 
@@ -79,7 +82,7 @@ def depart(
         while vehicles[slot].id != NONE or vehicles[slot].fate != _STAYS:
             slot += 1
         car = vehicles[slot]
-        _place(car, lane, lanes[lane], arcs, constants)
+        _place(car, lane, lanes[lane], profiles, arcs, constants)
         count = road.num_vehicles
         front = neighbor_in_lane(count, lane, -1, order, count, vehicles, agents)
         if front != NONE and not has_room(vehicles[front], car, profiles[car.profile], constants):

@@ -13,6 +13,7 @@ from typing import Any
 
 from marl_lanes.traffic.car_following import follow, follow_plainly
 from marl_lanes.traffic.compiled import internal
+from marl_lanes.traffic.curves import curve_acceleration
 from marl_lanes.traffic.gap_seeking import desired_speed_of, seek_or_hold
 from marl_lanes.traffic.idm import free_road_term, idm_acceleration, interaction_term
 from marl_lanes.traffic.kinematics import attainable
@@ -52,6 +53,7 @@ def car_following(
     vehicles: Any,
     agents: Any,
     profiles: Any,
+    arcs: Any,
     constants: Any,
 ) -> float:
     """What car following would do with the agent's vehicle in the present state [m/s^2].
@@ -77,14 +79,32 @@ def car_following(
         front = vehicles[agent.target_leader]
         toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
         acceleration = min(acceleration, max(toward, holding))
+    acceleration = min(acceleration, comfortable_in_curves(car, profile, arcs, constants))
     return float(attainable(acceleration, car, constants))
 
 
 @internal
-def _guard(car: Any, limit: float, lanes: Any, vehicles: Any, agents: Any, constants: Any) -> float:
+def comfortable_in_curves(car: Any, profile: Any, arcs: Any, constants: Any) -> float:
+    """What the curves ahead leave to the driver, inf without one [m/s^2]."""
+    lateral, braking = profile.comfortable_lateral_acceleration, profile.comfortable_braking
+    return curve_acceleration(car, lateral, braking, arcs, constants)
+
+
+@internal
+def _guard(
+    car: Any,
+    profile: Any,
+    limit: float,
+    lanes: Any,
+    vehicles: Any,
+    agents: Any,
+    arcs: Any,
+    constants: Any,
+) -> float:
     """A limit (1 - (s*/s)^2) with the gap rule's d_min, tau and b_max for s0, T and b [m/s^2].
 
-    Toward the bodies ahead in the car's lanes and, of an engaged changer, in its target lane.
+    Toward the bodies ahead in the car's lanes and, of an engaged changer, in its target lane; not
+    more than what keeps a curve's speed with braking b_max ahead of it.
     """
     scale = 2.0 * math.sqrt(limit * constants.gap_max_braking)
     headway, s0 = constants.gap_time, constants.gap_minimum
@@ -100,7 +120,9 @@ def _guard(car: Any, limit: float, lanes: Any, vehicles: Any, agents: Any, const
             if front > NONE:
                 term = _interaction(car, vehicles[front], headway, scale, s0, constants)
                 interaction = max(interaction, term)
-    return float(limit * (1.0 - interaction))
+    lateral, braking = profile.comfortable_lateral_acceleration, constants.gap_max_braking
+    allowed = curve_acceleration(car, lateral, braking, arcs, constants)
+    return float(min(limit * (1.0 - interaction), allowed))
 
 
 @internal
@@ -113,26 +135,42 @@ def _bounded(car: Any, wanted: float, limit: float, braking: float, top: float, 
 
 @internal
 def _drive_external(
-    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, c: Any
+    car: Any,
+    profile: Any,
+    wanted: float,
+    lanes: Any,
+    vehicles: Any,
+    agents: Any,
+    arcs: Any,
+    c: Any,
 ) -> float:
     """A follower's action, within its bounds, its speed limit and the guard [m/s^2]."""
     limit = c.external_max_acceleration
     braking, top = c.external_max_braking, c.external_max_speed
     acceleration = _bounded(car, wanted, limit, braking, top, c)
     if c.is_external_guarded:
-        acceleration = min(acceleration, _guard(car, limit, lanes, vehicles, agents, c))
+        acceleration = min(
+            acceleration, _guard(car, profile, limit, lanes, vehicles, agents, arcs, c)
+        )
     return float(acceleration)
 
 
 @internal
 def _drive_by_agent(
-    car: Any, wanted: float, lanes: Any, vehicles: Any, agents: Any, c: Any
+    car: Any,
+    profile: Any,
+    wanted: float,
+    lanes: Any,
+    vehicles: Any,
+    agents: Any,
+    arcs: Any,
+    c: Any,
 ) -> float:
     """A changer's second action, within its bounds, its speed limit and the guard [m/s^2]."""
     limit = c.longitudinal_max_acceleration
     braking, top = c.longitudinal_max_braking, c.longitudinal_max_speed
     acceleration = _bounded(car, wanted, limit, braking, top, c)
-    return float(min(acceleration, _guard(car, limit, lanes, vehicles, agents, c)))
+    return float(min(acceleration, _guard(car, profile, limit, lanes, vehicles, agents, arcs, c)))
 
 
 @internal
@@ -237,6 +275,7 @@ def accelerate(
     actions: Any,
     follower_actions: Any,
     profiles: Any,
+    arcs: Any,
     constants: Any,
     every_vehicle: Any,
     after: int,
@@ -263,21 +302,31 @@ def accelerate(
         if is_alone and car.moving_over == 0:
             # Most vehicles: nothing else can hold for them.
             acceleration = drive_alone(car, profile, lanes[lane].nearest, vehicles, constants)
+            if arcs.shape[0] > 0:
+                allowed = comfortable_in_curves(car, profile, arcs, constants)
+                acceleration = min(acceleration, allowed)
             car.acceleration = max(acceleration, -constants.max_braking)
             lanes[lane].nearest = slot
             continue
         acceleration = _drive_among(
             rank, car, lanes, vehicles, order, road.num_vehicles, agents, profiles, constants
         )
+        if arcs.shape[0] > 0:
+            allowed = comfortable_in_curves(car, profile, arcs, constants)
+            acceleration = min(acceleration, allowed)
         if car.agent > NONE and constants.has_longitudinal:
             agents[car.agent].car_following = attainable(acceleration, car, constants)
             wanted = actions[car.agent, 1]
-            acceleration = _drive_by_agent(car, wanted, lanes, vehicles, agents, constants)
+            acceleration = _drive_by_agent(
+                car, profile, wanted, lanes, vehicles, agents, arcs, constants
+            )
         elif car.changer > NONE and constants.num_external > 0:
             index = vehicles[car.changer].agent
             if followers[index].vehicle == slot:
                 wanted = follower_actions[index, 0]
-                acceleration = _drive_external(car, wanted, lanes, vehicles, agents, constants)
+                acceleration = _drive_external(
+                    car, profile, wanted, lanes, vehicles, agents, arcs, constants
+                )
         car.acceleration = max(acceleration, -constants.max_braking)
         # A body is narrower than a lane, but it can lie across the road.
         for lane in range(car.lane_low, car.lane_high + 1):

@@ -3,7 +3,12 @@
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from marl_lanes.traffic.compiled import compiled, internal
+
+FloatArray = NDArray[np.float64]
 
 _KEEPING_MIN_SPEED = 1.0
 """[m/s] Lane keeping divides by the speed; below this it steers as if it went this fast."""
@@ -16,11 +21,20 @@ _KEEPING_MAX_HEADING = 0.15
 
 
 @compiled
+def arc_curvature(arc: Any, position: float) -> float:
+    """The curvature of an arc within it [1/m], linear in its clothoids; positive bends left."""
+    to_end = min(position - arc.start, arc.end - position)
+    if to_end >= arc.transition:
+        return float(arc.curvature)
+    return float(arc.curvature * (to_end / arc.transition))
+
+
+@compiled
 def curvature_at(arcs: Any, position: float) -> float:
-    """The road's curvature c(s) [1/m], piecewise constant; positive bends left."""
+    """The road's curvature c(s) [1/m], 0 outside its arcs; positive bends left."""
     for arc in range(arcs.shape[0]):
         if arcs[arc].start <= position < arcs[arc].end:
-            return float(arcs[arc].curvature)
+            return arc_curvature(arcs[arc], position)
     return 0.0
 
 
@@ -32,6 +46,20 @@ def road_turn_rate(car: Any, arcs: Any) -> float:
         return 0.0
     progress = car.speed * math.cos(car.yaw) / (1.0 - curvature * car.lateral_position)
     return float(curvature * progress)
+
+
+def road_turning(cars: Any, arcs: Any) -> tuple[FloatArray, FloatArray]:
+    """Under each of N cars: the curvature [1/m] and ``road_turn_rate`` [rad/s], (N,) float64."""
+    curvature, turn_rate = np.empty(len(cars)), np.empty(len(cars))
+    _read_turning(np.ascontiguousarray(cars), arcs, curvature, turn_rate)
+    return curvature, turn_rate
+
+
+@compiled
+def _read_turning(cars: Any, arcs: Any, curvature: Any, turn_rate: Any) -> None:
+    for index in range(cars.shape[0]):
+        curvature[index] = curvature_at(arcs, cars[index].position)
+        turn_rate[index] = road_turn_rate(cars[index], arcs)
 
 
 @compiled

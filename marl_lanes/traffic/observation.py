@@ -170,7 +170,7 @@ def observe(
             value = (road.step - agent.born_step) * constants.time_step
         elif code == _CAR_FOLLOWING:
             value = car_following(
-                agent, order, road.num_vehicles, vehicles, agents, profiles, constants
+                agent, order, road.num_vehicles, vehicles, agents, profiles, arcs, constants
             )
         elif code == _DISTANCE:
             value = constants.road_length - car.position

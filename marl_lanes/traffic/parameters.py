@@ -90,6 +90,7 @@ PROFILE: Table = (
     ("max_acceleration", "f8", "m/s^2", "a_m"),
     ("comfortable_braking", "f8", "m/s^2", "b"),
     ("exponent", "f8", "1", "delta"),
+    ("comfortable_lateral_acceleration", "f8", "m/s^2", "in a curve"),
     ("braking_scale", "f8", "m/s^2", "2 sqrt(a_m b)"),
     ("adversarial_braking_scale", "f8", "m/s^2", "the same with the adversarial a_m"),
 )
@@ -97,7 +98,8 @@ PROFILE: Table = (
 ARC: Table = (
     ("start", "f8", "m", ""),
     ("end", "f8", "m", ""),
-    ("curvature", "f8", "1/m", "positive bends left"),
+    ("curvature", "f8", "1/m", "between its clothoids; positive bends left"),
+    ("transition", "f8", "m", "length of the clothoid at each end"),
 )
 
 
@@ -139,6 +141,7 @@ def make_parameters(scenario: Scenario) -> Parameters:
     arcs = np.zeros(len(scenario.road.arcs), structure(ARC))
     for row, arc in zip(arcs, scenario.road.arcs, strict=True):
         row["start"], row["end"], row["curvature"] = arc.start, arc.end, 1.0 / arc.radius
+        row["transition"] = arc.transition
     return Parameters(
         constants=_make_constants(scenario),
         profiles=profiles,

@@ -316,6 +316,7 @@ def run(
                 actions[env],
                 follower_actions[env],
                 profiles,
+                arcs,
                 p,
                 vehicles,
                 after,

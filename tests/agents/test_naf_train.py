@@ -283,8 +283,8 @@ def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path,
     [
         (None, r"i\.pt: cannot be read"),
         (make_follower_network(PAPER, [8]), r"i\.pt: its features .* changers of .* 'paper'"),
-        (make_network(PAPER, "damped", [8]), r"network\.mu = 'paper': must be 'damped'.*i\.pt"),
-        (make_network(PAPER, "paper", [9]), r"network\.hidden_sizes = \[8\]: must be \[9\]"),
+        (make_network(PAPER, "damped", [8]), r"network\.mu = 'cascade': must be 'damped'.*i\.pt"),
+        (make_network(PAPER, "cascade", [9]), r"network\.hidden_sizes = \[8\]: must be \[9\]"),
     ],
     ids=["none", "follower", "mu", "widths"],
 )

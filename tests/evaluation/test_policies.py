@@ -86,12 +86,10 @@ def test_the_tuned_cascade_by_hand():
         [20.0, 0.0, 1.0, 0.04, 0.03, 0.001],
         [20.0, 0.0, 0.05, 0.0, 0.001, 0.0],
     ]
-    # w_ref = 0.5/20 tanh((dev/1.53^2 - 2 0.687 20 yaw/1.53) / 0.5), the threshold 0.02.
-    reference = [
-        0.025 * np.tanh(3.75 / 1.53**2 / 0.5),
-        0.025 * np.tanh((1.0 / 1.53**2 - 2 * 0.687 * 20.0 * 0.04 / 1.53) / 0.5),
-    ]
-    demand = [reference[0] / 0.13 - 0.02, (reference[1] - 0.03 + 0.02) / 0.13 + 0.02]
+    # w_ref = 0.58/20 tanh((dev/1.38^2 - 2 0.775 20 yaw/1.38) / 0.58), the threshold 0.031.
+    wanted = np.array([3.75 / 1.38**2, 1.0 / 1.38**2 - 2 * 0.775 * 20.0 * 0.04 / 1.38])
+    reference = 0.58 / 20.0 * np.tanh(wanted / 0.58)
+    demand = [reference[0] / 0.1 - 0.031, (reference[1] - 0.03 + 0.02) / 0.1 + 0.031]
     wanted = [*(0.5 * np.tanh(np.array(demand) / 0.5)), 0.0]
     assert act(np.asarray(rows, np.float32))[:, 0] == pytest.approx(wanted, rel=1e-5)
     assert act(np.zeros((0, 6), np.float32)).shape == (0, 1)

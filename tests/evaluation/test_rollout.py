@@ -201,9 +201,9 @@ def test_no_maneuver_is_cheaper_than_its_optimum(name):
     completed = [row for row in found if row.outcome == Outcome.COMPLETED]
     assert len(completed) >= 4
     for row in completed:
-        assert row.return_ < 0.99 * row.optimal_return < 0.0
+        assert row.return_ <= row.optimal_return < 0.0
         assert row.return_ > 10.0 * row.optimal_return
-    assert evaluate(maneuvers, scenario)["cost_ratio"] >= 0.99
+    assert evaluate(maneuvers, scenario)["cost_ratio"] >= 1.0
 
 
 def test_the_policy_is_asked_for_steering_agents_alone():

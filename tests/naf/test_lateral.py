@@ -97,7 +97,7 @@ def test_the_cascade_is_its_formula():
 
 
 def test_the_cascade_says_exactly_zero_where_little_is_to_be_gained():
-    gains = TUNED_CASCADE._replace(threshold=0.02)
+    gains = CascadeGains(0.5, 1.53, 0.5, 0.13, 0.687, 0.02)
     # On the reference: w_ref = a_top / v tanh(a_tmp / a_top).
     reference = 0.5 / 22 * math.tanh(1.0 / 1.53**2 / 0.5)
     turning = reference - 0.13 * torch.tensor([0.0, 0.0199, -0.0199, 0.0201, -0.0201])[:, None]
@@ -128,7 +128,7 @@ def test_the_cascade_begins_with_the_tuned_gains():
 
 def test_the_cascades_gains_keep_to_their_ranges():
     gains = extreme_cascades(speed=22.0)
-    lowest = CascadeGains(0.2, 1.0, 0.3, 0.1, 0.5, 0.0)
+    lowest = CascadeGains(0.2, 1.0, 0.3, 0.08, 0.5, 0.0)
     highest = CascadeGains(0.5, 2.5, 1.0, 0.25, 1.4, 0.05)
     for name, values, low, high in zip(CascadeGains._fields, gains, lowest, highest, strict=True):
         assert (values.min().item(), values.max().item()) == pytest.approx((low, high)), name

@@ -227,12 +227,20 @@ ARCS = [
     ([{"start": 10.0, "end": 50.0}], ["road.arcs.0.radius: must be given"]),
     (
         [{"start": 10.0, "end": 50.0, "radius": 90.0, "bend": 1}],
-        ["road.arcs.0.bend: unknown key; allowed: start, end, radius"],
+        ["road.arcs.0.bend: unknown key; allowed: start, end, radius, transition"],
+    ),
+    (
+        [{"start": 10.0, "end": 50.0, "radius": 90.0, "transition": 21.0}],
+        ["transition = 21.0 of the arc from 10.0 to 50.0 must be at most half", "20.0"],
+    ),
+    (
+        [{"start": 10.0, "end": 50.0, "radius": 90.0, "transition": -1.0}],
+        ["transition = -1.0", "greater than or equal to 0"],
     ),
     (
         [
-            {"start": 10.0, "end": 50.0, "radius": 500.0},
-            {"start": 40.0, "end": 60.0, "radius": 500.0},
+            {"start": 10.0, "end": 50.0, "radius": 500.0, "transition": 5.0},
+            {"start": 40.0, "end": 60.0, "radius": 500.0, "transition": 5.0},
         ],
         ["starts at 40.0", "ends at 50.0"],
     ),

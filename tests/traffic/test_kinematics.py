@@ -15,7 +15,7 @@ NO_COMMANDS = {"command": {"probability": 0.0}}
 
 
 def one_arc(radius, **overrides):
-    arcs = [{"start": 0.0, "end": 900.0, "radius": radius}]
+    arcs = [{"start": 0.0, "end": 900.0, "radius": radius, "transition": 0.0}]
     return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides})
 
 
@@ -38,11 +38,17 @@ def advance(simulator, car, *, is_keeping=True):
     integrate(car, turn_rate, arcs, constants)
 
 
-def test_the_curvature_belongs_to_its_arc_alone():
-    arcs = Simulator("curved").parameters.arcs
-    places = [0.0, 149.99, 150.0, 449.99, 450.0, 550.0, 849.99, 850.0, 999.0]
-    found = [curvature_at(arcs, place) for place in places]
-    assert found == [0.0, 0.0, 0.002, 0.002, 0.0, -0.002, -0.002, 0.0, 0.0]
+def test_the_curvature_is_a_step_or_rises_and_falls_linearly():
+    arcs = [
+        {"start": 150.0, "end": 450.0, "radius": 500.0, "transition": 0.0},
+        {"start": 550.0, "end": 850.0, "radius": -500.0, "transition": 100.0},
+    ]
+    found = Simulator("paper", overrides={"road": {"arcs": arcs}}).parameters.arcs
+    step = {149.99: 0.0, 150.0: 0.002, 449.99: 0.002, 450.0: 0.0}
+    ramp = {549.0: 0.0, 550.0: 0.0, 575.0: -0.0005, 649.0: -0.00198, 650.0: -0.002, 750.0: -0.002}
+    ramp |= {800.0: -0.001, 849.0: -0.00002, 850.0: 0.0, 999.0: 0.0}
+    for place, curvature in (step | ramp).items():
+        assert curvature_at(found, place) == pytest.approx(curvature, abs=1e-15), place
 
 
 def test_one_step_by_hand():
@@ -170,7 +176,7 @@ def test_mirrored_arcs_give_mirrored_motion(radius):
 
 @pytest.mark.parametrize("radius", [500.0, -500.0])
 def test_lane_keeping_holds_the_centre_through_an_arc(radius):
-    arcs = [{"start": 150.0, "end": 850.0, "radius": radius}]
+    arcs = [{"start": 150.0, "end": 850.0, "radius": radius, "transition": 0.0}]
     simulator = Simulator("paper", 2, overrides={**NO_COMMANDS, "road": {"arcs": arcs}})
     simulator.reset()
     largest = settled = 0.0

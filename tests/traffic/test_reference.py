@@ -37,6 +37,11 @@ ARCS = [
     {"start": 60.0, "end": 230.0, "radius": 200.0},
     {"start": 230.0, "end": 450.0, "radius": -120.0},
 ]
+STEPPED = [
+    {"start": 0.0, "end": 60.0, "radius": -80.0, "transition": 0.0},
+    {"start": 160.0, "end": 190.0, "radius": 90.0, "transition": 15.0},
+    {"start": 300.0, "end": 450.0, "radius": 150.0, "transition": 0.0},
+]
 
 
 LONGITUDINAL = {"action": {"longitudinal": {"max_speed": 24.0}}}
@@ -71,7 +76,7 @@ class Case:
 CASES = {
     **{name: Case(name, {"observation": EVERY_FEATURE}, 120) for name in list_scenarios()},
     "mixed": Case("paper", MIXED, 200, seed=1, meets=(Outcome.COMPLETED,)),
-    "settled changes": Case("settled", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
+    "settled changes": Case("paper", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
     "sum": Case("dense", {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "sum"}}, 60),
     "acc": Case(
         "dense",
@@ -115,8 +120,19 @@ CASES = {
         110,
         meets=(Phase.ABORTING, Outcome.COMPLETED, Outcome.MISSED),
     ),
-    "hostile": Case("settled", BUSY | OPEN_GAP, 150, bias=0.4, meets=(Outcome.OFF_ROAD,)),
+    "hostile": Case("paper", BUSY | OPEN_GAP, 150, bias=0.4, meets=(Outcome.OFF_ROAD,)),
     "arcs": Case("paper", BUSY | {"road": {**BUSY["road"], "arcs": ARCS}}, 200, noise=0.3),
+    "stepped arcs, every driver": Case(
+        "interactive",
+        CROWDED
+        | LONGITUDINAL
+        | {"road": {**CROWDED["road"], "arcs": STEPPED}, "drivers": MIXED["drivers"]}
+        | {"followers": {"mix": {"learned": 1.0, "adversarial": 0.5, "cooperative": 0.5}}},
+        150,
+        pushing=2.0,
+        has_learner=True,
+        meets=("paired", Outcome.COMPLETED),
+    ),
     "coarse": Case(
         "paper",
         BUSY | OPEN_GAP | {"time_step": 0.25, "completion": {"max_yaw_rate": 0.05}},

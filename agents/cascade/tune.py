@@ -1,0 +1,165 @@
+"""Tune the cascade's constants in the simulator by a cross-entropy search: no network, no gradient.
+
+python agents/cascade/tune.py [--scenario paper] [--generations 30] [--population 64] [--seed 0]
+    --output cascade.json
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tqdm import trange
+
+from marl_lanes import ScenarioError, Simulator
+from marl_lanes.naf.lateral import TUNED_CASCADE, CascadeGains, steer_by_cascade
+from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.training.files import write_json
+
+LOWEST = CascadeGains(limit=0.2, time=0.8, lateral_limit=0.3, lag=0.08, damping=0.4, threshold=0.0)
+HIGHEST = CascadeGains(limit=0.5, time=2.5, lateral_limit=1.0, lag=0.3, damping=1.4, threshold=0.06)
+ELITE_SHARE = 0.15
+"""Of a generation, from which the next one is drawn."""
+LEAST_SPREAD = 0.002
+"""[1] Of each range, added to the standard deviation: the search does not stop too soon."""
+STEERING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
+
+
+def main() -> None:
+    """Search, print, write."""
+    options = parse()
+    try:
+        scenario = load_scenario(options.scenario)
+        roads = Roads(scenario, options.population, options.roads, options.seconds, options.seed)
+        result = search(roads, options.generations, options.seed)
+    except ScenarioError as error:
+        sys.exit(f"error: {error}")
+    write_json(options.output, {"scenario": scenario.name, **vars_of(options), **result})
+    for name, value in result.items():
+        print(f"{name}: {value}")
+
+
+class Roads:
+    """Busy roads on which every candidate drives the same traffic.
+
+    Args:
+        scenario: of one action, with the features that the cascade reads.
+        population: candidates at a time.
+        roads: of each candidate.
+        seconds: that they drive.
+        seed: of the traffic.
+
+    Raises:
+        ScenarioError: it has two actions, or a feature is missing.
+    """
+
+    def __init__(
+        self, scenario: Scenario, population: int, roads: int, seconds: float, seed: int
+    ) -> None:
+        features: list[str] = list(scenario.observation.features)
+        missing = [name for name in STEERING_FEATURES if name not in features]
+        if missing or scenario.action.num_actions != 1:
+            raise ScenarioError(
+                f"scenario {scenario.name!r}: must have one action and the features "
+                f"{list(STEERING_FEATURES)}; it has {scenario.action.num_actions} and {features}"
+            )
+        self.columns = [features.index(name) for name in STEERING_FEATURES]
+        self.population, self.roads = population, roads
+        self.num_steps = round(seconds / scenario.time_step)
+        self.seed = seed
+        self.simulator = Simulator(
+            scenario,
+            population * roads,
+            overrides={"num_agents": None, "horizon": None, "command": {"probability": 1.0}},
+        )
+
+    def drive(self, gains: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Mean cost of a command and the number of commands, of each candidate (P, 6)."""
+        simulator = self.simulator
+        simulator.seed(self.seed)
+        # Road k of every candidate is the same road.
+        roads = simulator.state.roads
+        roads["random_stream"] = np.tile(np.arange(self.roads), self.population)
+        simulator.reset()
+        costs, counts = np.zeros(self.population), np.zeros(self.population, np.int64)
+        actions = np.zeros_like(simulator.actions)
+        for _ in range(self.num_steps):
+            acting = simulator.is_acting
+            owners = np.nonzero(acting)[0] // self.roads
+            seen = simulator.state.observations[acting][:, self.columns].astype(np.float64)
+            actions.fill(0.0)
+            actions[acting, 0] = self.steer(seen, gains[owners])
+            simulator.step(actions)
+            ended = simulator.has_ended
+            owners = np.nonzero(ended)[0] // self.roads
+            np.add.at(costs, owners, -simulator.agents["episode_reward"][ended])
+            np.add.at(counts, owners, 1)
+        return costs / np.maximum(counts, 1), counts
+
+    @staticmethod
+    def steer(seen: NDArray[np.float64], gains: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Yaw accelerations (N,) of observations (N, 5) with gains (N, 6)."""
+        speed, deviation, yaw, yaw_rate, curvature = torch.from_numpy(seen).unbind(-1)
+        each = CascadeGains(*torch.from_numpy(gains).unbind(-1))
+        steering = steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, each)
+        return np.asarray(steering.numpy())
+
+
+def search(roads: Roads, generations: int, seed: int) -> dict[str, object]:
+    """The cheapest mean of a generation's elite, beginning around the present constants."""
+    generator = np.random.default_rng(seed)
+    low, high = np.array(LOWEST), np.array(HIGHEST)
+    mean, spread = np.array(TUNED_CASCADE), (high - low) / 8.0
+    num_elite = max(2, round(ELITE_SHARE * roads.population))
+    start = cost = best = np.inf
+    chosen = mean
+    for generation in trange(generations, desc="generations"):
+        drawn = mean + spread * generator.standard_normal((roads.population, low.size))
+        drawn[0] = mean
+        drawn = np.clip(drawn, low, high)
+        costs, _ = roads.drive(drawn)
+        cost = float(costs[0])
+        start = cost if generation == 0 else start
+        if cost < best:
+            best, chosen = cost, drawn[0]
+        elite = drawn[np.argsort(costs)[:num_elite]]
+        mean, spread = elite.mean(0), elite.std(0) + LEAST_SPREAD * (high - low)
+    names = CascadeGains._fields
+    return {
+        "cost_of_the_present_constants": start,
+        "cost": best,
+        "constants": dict(zip(names, chosen.round(4).tolist(), strict=True)),
+    }
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--scenario", default="paper", help="name or YAML file (default: paper)")
+    parser.add_argument("--generations", type=int, default=30, help="default: 30")
+    parser.add_argument("--population", type=int, default=64, help="candidates (default: 64)")
+    parser.add_argument("--roads", type=int, default=16, help="of each candidate (default: 16)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="driven (default: 60)")
+    parser.add_argument("--seed", type=int, default=0, help="default: 0")
+    parser.add_argument("--output", type=Path, required=True, help="JSON file to write")
+    options = parser.parse_args()
+    for name in ("generations", "population", "roads"):
+        if getattr(options, name) < 1:
+            parser.error(f"--{name} {getattr(options, name)}: must be at least 1")
+    if not options.seconds > 0.0:
+        parser.error(f"--seconds {options.seconds}: must be above 0")
+    if not 0 <= options.seed < 2**63:
+        parser.error(f"--seed {options.seed}: must be at least 0 and below 2^63")
+    return options
+
+
+def vars_of(options: argparse.Namespace) -> dict[str, object]:
+    """The options that define the search."""
+    names = ("generations", "population", "roads", "seconds", "seed")
+    return {name: getattr(options, name) for name in names}
+
+
+if __name__ == "__main__":
+    main()

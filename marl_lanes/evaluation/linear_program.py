@@ -1,0 +1,79 @@
+"""The linear programs of a lane change whose motion is linear in its actions."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE
+from marl_lanes.evaluation.simplex import minimise
+from marl_lanes.scenario.schema import Reward
+
+FloatArray = npt.NDArray[np.float64]
+
+_SLACK = 1e-8
+"""[m], [m/s], [rad/s], [rad/s^2] Rounding beyond a bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """The linear programs of 1 ... M steps: that of N has the first N rows and columns of these.
+
+    What is known after each step is free + response @ actions. A row depends on no later action,
+    so the arrays are built once for all durations.
+
+    Args:
+        free: (3, M), rows as in replay.py.
+        response: (3, M, M), lower triangles.
+        bounds: (3,), on what is known after the last step; infinite for no bound.
+        max_yaw_acceleration: bound on the actions [rad/s^2].
+        reward: its three weights of Eq. 10-12.
+    """
+
+    free: FloatArray
+    response: FloatArray
+    bounds: FloatArray
+    max_yaw_acceleration: float
+    reward: Reward
+
+    @property
+    def size(self) -> int:
+        """M."""
+        return int(self.free.shape[1])
+
+    def solve(self, num_steps: int) -> tuple[float, FloatArray]:
+        """Cost and actions (N,) of the cheapest N steps; infinite and empty where there are none.
+
+        Minimum of sum_k w_a |a_k| + w_w |turning_k| + w_d |deviation_k| / d_avg, |a_k| <= a_max,
+        what is known after the last step within its bounds.
+        """
+        n = num_steps
+        free = np.concatenate([self.free[YAW_RATE, :n], self.free[DEVIATION, :n]])
+        free = np.append(free, self.free[LATERAL_SPEED, n - 1])
+        response = np.concatenate(
+            [
+                self.response[YAW_RATE, :n, :n],
+                self.response[DEVIATION, :n, :n],
+                self.response[LATERAL_SPEED, n - 1 : n, :n],
+            ]
+        )
+        weights = np.zeros(3 * n + 1)
+        weights[:n] = self.reward.acceleration_weight
+        weights[n : 2 * n] = self.reward.yaw_rate_weight
+        weights[2 * n : 3 * n] = self.reward.deviation_weight / self.reward.average_deviation
+        bounds = np.full(3 * n + 1, np.inf)
+        bounds[:n] = self.max_yaw_acceleration
+        bounds[[2 * n - 1, 3 * n - 1, 3 * n]] = self.bounds[[YAW_RATE, DEVIATION, LATERAL_SPEED]]
+        actions = minimise(free, response, weights, bounds)
+        values = np.abs(np.concatenate([actions, free + response @ actions]))
+        if (values > bounds + _SLACK).any():
+            return math.inf, np.empty(0)
+        return float(weights @ values), actions
+
+    def first_completion(self, yaw_acceleration: FloatArray) -> int:
+        """The number of steps after which the actions (N,) first complete; N if not before."""
+        n = yaw_acceleration.size
+        known = self.free[:, :n] + self.response[:, :n, :n] @ yaw_acceleration
+        is_there = (np.abs(known) <= self.bounds[:, np.newaxis] + _SLACK).all(axis=0)
+        return int(np.argmax(is_there)) + 1 if is_there.any() else n

@@ -1,0 +1,201 @@
+"""One vehicle driven again through the simulation's own step: a speed profile and its steering."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.kinematics import integrate, road_turn_rate
+from marl_lanes.traffic.parameters import Parameters
+from marl_lanes.traffic.state import VEHICLE, structure
+
+FloatArray = npt.NDArray[np.float64]
+
+YAW_RATE, LATERAL_SPEED, DEVIATION = range(3)
+"""Rows of what is known after a step: yaw rate beyond the road's own turning [rad/s], lateral speed
+[m/s] and deviation from the target lane's centre [m], in the maneuver frame."""
+
+_DIFFERENCE = 1e-3
+"""[rad/s^2] Half of the difference by which a derivative is taken. The step is smooth, almost
+linear: the error is of its square, and rounding stays below 1e-10."""
+
+_POLE = 1.2
+"""[rad/s] Of the steering that ``Replay.steer`` does; triple, as in lane keeping."""
+
+_MIN_SPEED = 1.0
+"""[m/s] As in lane keeping."""
+
+
+@compiled
+def advance(
+    car: Any,
+    speed: float,
+    action: float,
+    direction: float,
+    centre: float,
+    arcs: Any,
+    constants: Any,
+    known: Any,
+    k: int,
+) -> None:
+    """One time step to the given speed; ``known[:, k]`` is what is known after it."""
+    turn_rate = road_turn_rate(car, arcs)
+    car.acceleration = (speed - car.speed) / constants.time_step
+    car.yaw_acceleration = direction * action
+    lateral_position = car.lateral_position
+    integrate(car, turn_rate, arcs, constants)
+    known[0, k] = direction * (car.yaw_rate - road_turn_rate(car, arcs))
+    # v sin psi, as the completion criterion has it.
+    known[1, k] = direction * (car.lateral_position - lateral_position) / constants.time_step
+    known[2, k] = direction * (centre - car.lateral_position)
+
+
+@compiled
+def drive(
+    cars: Any,
+    begin: int,
+    end: int,
+    is_steering: bool,
+    speed: Any,
+    actions: Any,
+    direction: float,
+    centre: float,
+    arcs: Any,
+    constants: Any,
+    known: Any,
+) -> None:
+    """Steps ``begin`` to ``end``: ``cars[k]`` is the vehicle before step k, ``cars[k + 1]`` after.
+
+    Where it is steering, the actions are lane keeping's toward the centre, and are written.
+    """
+    bound = constants.max_yaw_acceleration
+    for k in range(begin, end):
+        cars[k + 1] = cars[k]
+        car = cars[k + 1]
+        if is_steering:
+            turning = direction * (car.yaw_rate - road_turn_rate(car, arcs))
+            error = direction * (centre - car.lateral_position) / max(car.speed, _MIN_SPEED)
+            wanted = _POLE * _POLE * (_POLE * error - 3.0 * direction * car.yaw)
+            actions[k] = min(max(wanted - 3.0 * _POLE * turning, -bound), bound)
+        advance(car, speed[k], actions[k], direction, centre, arcs, constants, known, k)
+
+
+@compiled
+def respond(
+    cars: Any,
+    count: int,
+    speed: Any,
+    actions: Any,
+    direction: float,
+    centre: float,
+    arcs: Any,
+    constants: Any,
+    work: Any,
+    known: Any,
+    response: Any,
+) -> None:
+    """Central differences: ``response[:, k, j]`` is the derivative of ``known[:, k]`` by action j.
+
+    Args:
+        cars: (M + 1,) VEHICLE along the way, ``drive``'s.
+        count: steps to take the derivatives of.
+        speed: (M,) [m/s].
+        actions: (M,) [rad/s^2].
+        direction: +1 to the left, -1 to the right.
+        centre: lateral position of the target lane's centre [m].
+        arcs: (K,) ARC.
+        constants: of the scenario.
+        work: (1,) VEHICLE, overwritten.
+        known: (3, M), overwritten.
+        response: (3, count, count), zeros above the diagonal.
+    """
+    for j in range(count):
+        for sign in (1.0, -1.0):
+            work[0] = cars[j]
+            for k in range(j, count):
+                action = actions[k] + sign * _DIFFERENCE if k == j else actions[k]
+                advance(work[0], speed[k], action, direction, centre, arcs, constants, known, k)
+                for row in range(3):
+                    change = sign * known[row, k] / (2.0 * _DIFFERENCE)
+                    response[row, k, j] = change + (response[row, k, j] if sign < 0.0 else 0.0)
+
+
+class Replay:
+    """A vehicle's way under a given speed, as a function of its yaw accelerations.
+
+    Args:
+        parameters: of the scenario.
+        speed: (M,) used in each step [m/s].
+        initial_speed: before the first step [m/s].
+        position, lateral_position: s and d before the first step [m].
+        yaw, yaw_rate: before the first step, in the maneuver frame [rad], [rad/s].
+        direction: +1 to the left, -1 to the right.
+        deviation: from the target lane's centre, in the maneuver frame [m].
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        speed: FloatArray,
+        *,
+        initial_speed: float,
+        position: float,
+        lateral_position: float,
+        yaw: float,
+        yaw_rate: float,
+        direction: int,
+        deviation: float,
+    ) -> None:
+        self.speed = speed
+        self._cars = np.zeros(speed.size + 1, structure(VEHICLE))
+        first = self._cars[0]
+        first["position"], first["lateral_position"] = position, lateral_position
+        first["speed"] = initial_speed
+        first["yaw"], first["yaw_rate"] = direction * yaw, direction * yaw_rate
+        self._actions = np.zeros(speed.size)
+        self._known = np.zeros((3, speed.size))
+        centre = lateral_position + direction * deviation
+        self._road = (float(direction), centre, parameters.arcs, parameters.constants[0])
+
+    def steer(self, begin: int, end: int) -> None:
+        """Let lane keeping toward the target lane choose the actions from begin to end."""
+        self._drive(begin, end, is_steering=True)
+
+    def follow(self, actions: FloatArray) -> FloatArray:
+        """What is known after each of the actions (N,): (3, N) float64."""
+        self._actions[: actions.size] = actions
+        self._drive(0, actions.size, is_steering=False)
+        return self._known[:, : actions.size].copy()
+
+    def linearise(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Along the last actions: what would be known without them, and its derivative by them.
+
+        Returns:
+            (3, count) and (3, count, count): known = free + response @ actions near the last ones.
+        """
+        known = self._known[:, :count].copy()
+        response = np.zeros((3, count, count))
+        respond(
+            self._cars,
+            count,
+            self.speed,
+            self._actions,
+            *self._road,
+            np.zeros(1, structure(VEHICLE)),
+            np.zeros_like(self._known),
+            response,
+        )
+        return known - response @ self._actions[:count], response
+
+    def _drive(self, begin: int, end: int, *, is_steering: bool) -> None:
+        drive(
+            self._cars,
+            begin,
+            end,
+            is_steering,
+            self.speed,
+            self._actions,
+            *self._road,
+            self._known,
+        )
