@@ -930,6 +930,13 @@ class Road:
             counts["is_done"] = 1
 
 
+def shape(arc, position):
+    """An arc's curvature over that between its clothoids, 0 to 1."""
+    if arc.transition == 0.0:
+        return 1.0
+    return min(1.0, (position - arc.start) / arc.transition, (arc.end - position) / arc.transition)
+
+
 def fastest(way, speed, limit, top):
     """Least time over a way to a stop, |acceleration| <= limit and the speed toward it <= top."""
     stop = speed * abs(speed) / (2.0 * limit)
@@ -943,13 +950,6 @@ def fastest(way, speed, limit, top):
         cruise = way - (2.0 * top**2 - speed**2) / (2.0 * limit)
         return (top - speed) / limit + top / limit + cruise / top
     return (peak - speed) / limit + peak / limit
-
-
-def shape(arc, position):
-    """An arc's curvature over that between its clothoids, 0 to 1."""
-    if arc.transition == 0.0:
-        return 1.0
-    return min(1.0, (position - arc.start) / arc.transition, (arc.end - position) / arc.transition)
 
 
 def overlap_area(subject, clip):

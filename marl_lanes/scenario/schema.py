@@ -116,8 +116,8 @@ class Drivers(Section):
         description="law [name]: 'max' is the paper's Eq. 9, 'sum' the standard IDM, 'acc' the "
         "ACC model on top of it",
     )
-    coolness: Real = Field(
-        0.99, ge=0.0, le=1.0, description="c of the ACC model [1], 0 (the standard IDM) to 1"
+    coolness: NonNegative = Field(
+        0.99, le=1.0, description="c of the ACC model [1], 0 (the standard IDM) to 1"
     )
     profiles: dict[str, DriverProfile] = Field(
         default_factory=_default_profiles,
