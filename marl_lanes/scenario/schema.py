@@ -16,7 +16,6 @@ from marl_lanes.scenario.fields import (
     NonNegativeRange,
     Positive,
     PositiveRange,
-    Real,
     Section,
     Share,
     SpeedRange,
