@@ -13,7 +13,14 @@ from marl_lanes.evaluation.rollout import TRACE, Maneuver, run_maneuvers
 from marl_lanes.traffic.state import Outcome, Phase
 
 BUSY = load_scenario(
-    "paper", {"num_agents": 4, "departures": {"interval": [2.0, 4.0]}, "max_vehicles": 128}
+    "paper",
+    {
+        "num_agents": 4,
+        "departures": {"interval": [2.0, 4.0]},
+        "max_vehicles": 128,
+        # The rule that accepts narrow gaps: enough of those that are compared here.
+        "gap": {"rule": "kinematic"},
+    },
 )
 KINDS = ("cooperative", "neutral", "adversarial")
 FOLLOWERS = {name: {"mix": {name: 1.0}} for name in KINDS}

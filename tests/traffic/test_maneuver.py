@@ -203,7 +203,7 @@ def test_over_the_marking_nobody_turns_back():
 
 def test_completion_hands_the_car_to_lane_keeping_in_the_target_lane():
     simulator = simulator_of()
-    stage(simulator, {"lane": 1, "position": 200.0, "lateral_position": 9.2, "yaw": 0.03})
+    stage(simulator, {"lane": 1, "position": 200.0, "lateral_position": 9.2, "yaw": 0.01})
     agent = command(simulator, 0, 1)
     simulator.step()
     assert simulator.agents[0, agent]["outcome"] == Outcome.COMPLETED

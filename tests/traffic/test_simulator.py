@@ -148,11 +148,13 @@ def test_advance_until_live_stops_at_the_horizon():
 def test_actions_are_clipped_to_the_scenarios_bound():
     twins = [made(2, scenario="paper") for _ in range(2)]
     shape = (2, twins[0].num_slots, 1)
-    for _ in range(60):
+    num_steered = 0
+    for _ in range(150):
         twins[0].step(np.full(shape, 0.5))
         twins[1].step(np.full(shape, 1e300))
+        num_steered += int((twins[0].agents["engaged_steps"] > 0).sum())
     assert twins[0].state.tobytes() == twins[1].state.tobytes()
-    assert (twins[0].agents["engaged_steps"] > 0).any()
+    assert num_steered > 10
 
 
 def test_no_actions_are_zeros():

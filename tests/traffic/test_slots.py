@@ -76,7 +76,7 @@ def test_a_step_does_not_depend_on_the_slots(scenario):
     one.reset()
     other.reset()
     num_engaged_together = 0
-    for _ in range(400):
+    for _ in range(900):
         one.actions[:] = damped_actions(one, 0.2, generator)
         one.follower_actions[:] = generator.uniform(-4.0, 4.0, one.follower_actions.shape)
         other.restore(one.snapshot())
