@@ -53,9 +53,10 @@ def test_m_is_negative_definite_at_extreme_logits(actions):
     matrix = -(square @ square.mT)
     assert matrix.dtype is torch.float32
     assert torch.linalg.eigvalsh(matrix.detach()).max() < 0
-    penalty = network._penalty(
-        factor, torch.full((len(logits), actions), 0.5), torch.full((len(logits), actions), -0.5)
+    mu, action = (
+        torch.full((2, len(logits), actions), 0.5) * torch.tensor([1.0, -1.0])[:, None, None]
     )
+    penalty = network._penalty(factor, mu, mu.sign(), action)
     assert penalty.isfinite().all()
     assert (penalty >= 0).all()
     penalty.sum().backward()
@@ -121,6 +122,56 @@ def test_maximum_over_a_box_of_two_actions():
     assert (best - data["greedy_action"]).abs().max() < 0.05
     at_greedy = call(network, observation, data["greedy_action"].detach())
     torch.testing.assert_close(at_greedy["state_action_value"], data["state_value"])
+
+
+@pytest.mark.parametrize("mu", ["cascade", "damped", "mlp"])
+def test_the_known_cost_of_an_action_bends_q_and_leaves_its_maximum(mu):
+    """Q = V - m (a - mu)^2 - c (|a| - |mu| - g (a - mu)), g a slope of |a| at mu."""
+    plain, knowing = stir(make_network(mu)), make_network(mu, action_costs=[2.0])
+    knowing.load_state_dict(plain.state_dict())
+    observation = make_observation(40)
+    if mu == "cascade":  # near the centre and straight: within its threshold
+        observation[:20, 2:5] *= 0.01
+        observation[:20, 5] = 0.0
+    action = torch.linspace(-0.5, 0.5, 101)[:, None, None].expand(101, 40, 1)
+    seen = observation.expand(101, 40, -1)
+    without, found = call(plain, seen, action), call(knowing, seen, action)
+    for key in ("greedy_action", "state_value"):
+        assert torch.equal(without[key], found[key]), key
+    greedy = found["greedy_action"]
+    _, slope = knowing.mu.act(observation, knowing.normalise(observation))
+    bend = 2.0 * (action.abs() - greedy.abs() - slope * (action - greedy))
+    q = without["state_action_value"] - bend
+    torch.testing.assert_close(found["state_action_value"], q, atol=1e-5, rtol=1e-5)
+    assert (found["state_action_value"] <= found["state_value"] + 1e-6).all()
+    at_greedy = call(knowing, observation, greedy[0].detach())
+    torch.testing.assert_close(at_greedy["state_action_value"], at_greedy["state_value"])
+    is_zero = greedy[0] == 0.0
+    assert is_zero.any() == (mu == "cascade")
+    assert (slope.abs() <= 1.0).all()
+    assert torch.equal(slope[~is_zero], greedy[0][~is_zero].sign())
+    assert knowing.config["action_costs"] == [2.0]
+
+
+def test_within_the_threshold_the_slope_still_learns():
+    """Where mu is exactly 0 the plain parabola gives its structure no gradient."""
+    observation = state(lateral_deviation=0.02)[None]
+    gradients = {}
+    for name, costs in (("plain", None), ("knowing", [2.0])):
+        torch.manual_seed(0)
+        network = make_network("cascade", action_costs=costs)
+        data = call(network, observation, torch.full((1, 1), 0.1))
+        assert data["greedy_action"].item() == 0.0
+        data["state_action_value"].sum().backward()
+        gradients[name] = network.mu.heads.last_bias.grad.abs().sum().item()
+    assert gradients["plain"] == 0.0
+    assert gradients["knowing"] > 0.01
+
+
+@pytest.mark.parametrize("costs", [[1.0, 1.0], [-1.0], [math.inf], [math.nan], []])
+def test_costs_that_cannot_be_are_refused(costs):
+    with pytest.raises(ValueError, match=r"action_costs = .*: must be 1 finite numbers"):
+        make_network("cascade", action_costs=costs)
 
 
 def test_m_is_in_units_of_the_box():

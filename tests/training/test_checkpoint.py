@@ -67,7 +67,7 @@ def states(count=50):
     return (generator.uniform(-1.0, 1.0, (count, 6)) * high + [20, 0, 0, 0, 0, 0]).astype("f4")
 
 
-@pytest.mark.parametrize("mu", ["paper", "damped", "mlp"])
+@pytest.mark.parametrize("mu", ["cascade", "paper", "damped", "mlp"])
 def test_a_saved_policy_acts_as_before(tmp_path, mu):
     file = tmp_path / "deep" / "folder" / "policy.pt"
     network = trained(mu)
@@ -335,3 +335,13 @@ def test_json_holds_no_nan(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         write_json(tmp_path / "a.json", {"value": float("nan")})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cascades_network_knows_the_cost_of_the_yaw_acceleration():
+    heavy = load_scenario("paper", {"reward": {"acceleration_weight": 3.0}})
+    assert make_network(heavy, "cascade", [8]).action_costs == [3.0]
+    assert make_network(LONGITUDINAL, "cascade+idm", [8]).action_costs == [2.0, 0.0]
+    assert make_network(heavy, "cascade", [8], knows_action_cost=False).action_costs == [0.0]
+    # These structures cannot say exactly 0: for them the parabola stands for the kink.
+    for mu in ("paper", "damped", "mlp"):
+        assert make_network(heavy, mu, [8]).action_costs == [0.0]
