@@ -447,9 +447,9 @@ class Scenario(Section):
         """Refuse curves in which lane keeping would lose its lane."""
         room = 0.8 * (self.road.lane_width - self.vehicle.width) / 2.0
         speeds = [self.departures.initial_speed[1], self.followers.external.max_speed]
-        speeds.append(
-            self.departures.desired_speed[1] * self.followers.adversarial.desired_speed_factor
-        )
+        # An adversarial driver that waits for a gap itself: both factors.
+        factors = self.followers.adversarial.desired_speed_factor * self.gap.speed_factor
+        speeds.append(self.departures.desired_speed[1] * factors)
         if self.action.longitudinal is not None:
             speeds.append(self.action.longitudinal.max_speed)
         for name, profile in self.drivers.profiles.items():

@@ -116,3 +116,16 @@ def test_profiles_that_nobody_drives_refuse_nothing():
         load_scenario(
             "paper", {"road": road, "drivers": {"profiles": profiles, "mix": {"racer": 1.0}}}
         )
+
+
+def test_a_driver_who_speeds_up_for_a_gap_takes_the_curve_faster():
+    """On a wide curve nothing but the top speed, here 43.3 m/s times the factor, is a bound."""
+    road = {
+        "road": {"arcs": [{"start": 250.0, "end": 700.0, "radius": -670.0, "transition": 0.0}]},
+        "drivers": {"profiles": {"racer": {"comfortable_lateral_acceleration": 4.0}}},
+        "lane_keeping": {"pole": 1.0},
+    }
+    road["drivers"]["mix"] = {"racer": 1.0}
+    assert load_scenario("paper", road | {"gap": {"speed_factor": 1.0}})
+    with pytest.raises(ScenarioError, match=r"is carried off by 0\.9\d* m"):
+        load_scenario("paper", road | {"gap": {"speed_factor": 1.1}})
