@@ -67,7 +67,7 @@ class Roads:
             )
         self.columns = [features.index(name) for name in STEERING_FEATURES]
         self.population, self.roads = population, roads
-        self.num_steps = round(seconds / scenario.time_step)
+        self.seconds, self.num_steps = seconds, round(seconds / scenario.time_step)
         self.seed = seed
         self.simulator = Simulator(
             scenario,
@@ -76,7 +76,7 @@ class Roads:
         )
 
     def drive(self, gains: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Mean cost of a command and the number of commands, of each candidate (P, 6)."""
+        """Mean cost of a command, inf without one, and their number, of each candidate (P, 6)."""
         simulator = self.simulator
         simulator.seed(self.seed)
         # Road k of every candidate is the same road.
@@ -96,7 +96,8 @@ class Roads:
             owners = np.nonzero(ended)[0] // self.roads
             np.add.at(costs, owners, -simulator.agents["episode_reward"][ended])
             np.add.at(counts, owners, 1)
-        return costs / np.maximum(counts, 1), counts
+        # Who ends no command is not the cheapest.
+        return np.where(counts > 0, costs / np.maximum(counts, 1), np.inf), counts
 
     @staticmethod
     def steer(seen: NDArray[np.float64], gains: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -121,6 +122,11 @@ def search(roads: Roads, generations: int, seed: int) -> dict[str, object]:
         drawn = np.clip(drawn, low, high)
         costs, _ = roads.drive(drawn)
         cost = float(costs[0])
+        if cost == np.inf:
+            raise ScenarioError(
+                f"seconds = {roads.seconds:g}: must be longer, no command of scenario "
+                f"{roads.simulator.scenario.name!r} ended on {roads.roads} roads"
+            )
         start = cost if generation == 0 else start
         if cost < best:
             best, chosen = cost, drawn[0]
@@ -148,8 +154,8 @@ def parse() -> argparse.Namespace:
     for name in ("generations", "population", "roads"):
         if getattr(options, name) < 1:
             parser.error(f"--{name} {getattr(options, name)}: must be at least 1")
-    if not options.seconds > 0.0:
-        parser.error(f"--seconds {options.seconds}: must be above 0")
+    if not 0.0 < options.seconds < float("inf"):
+        parser.error(f"--seconds {options.seconds}: must be above 0 and finite")
     if not 0 <= options.seed < 2**63:
         parser.error(f"--seed {options.seed}: must be at least 0 and below 2^63")
     return options
