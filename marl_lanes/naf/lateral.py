@@ -51,7 +51,7 @@ class PaperMu(_YawAcceleration):
 
     Three networks give a_max, the sensitivity beta > 0 [s^2/m] and the transition time
     T > 1.5 s, initially 0.25 rad/s^2, 0.31 and 3.4 s. It has no yaw-rate term: it turns a vehicle
-    into the target lane, but no gains let it settle there.
+    into the target lane, but with constant gains it cannot settle there.
 
     Source: Eq. 6 and Eq. 7; the sign of the yaw term follows the module's frame.
     """
@@ -162,7 +162,7 @@ class CascadeGains(NamedTuple, Generic[Gain]):
 TUNED_CASCADE = CascadeGains(
     limit=0.5, time=1.38, lateral_limit=0.58, lag=0.10, damping=0.775, threshold=0.031
 )
-"""Found by a cross-entropy search on the settled change, over the speeds of recorded traffic."""
+"""Found by a cross-entropy search; agents/cascade/tune.py searches around them."""
 
 
 def steer_by_cascade(
@@ -202,7 +202,7 @@ def steer_by_cascade(
 
 
 class CascadeMu(_YawAcceleration):
-    """`steer_by_cascade` with gains from six networks, initially TUNED_CASCADE.
+    """`steer_by_cascade` with gains from six networks, initially TUNED_CASCADE, a_max 0.9 bound.
 
     Whatever is learned the vehicle comes within 0.3 m of the centre, and one that is turned back at
     the marking stays on the road: each gain keeps to its range. The lag is shorter than 2 zeta T,
