@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.traffic.compiled import compiled, entry_point, internal
 from marl_lanes.traffic.followers import comfortable_in_curves, drive_alone
+from marl_lanes.traffic.neighbors import is_body_in
 from marl_lanes.traffic.parameters import ARC, CONSTANTS, PROFILE, Parameters
 from marl_lanes.traffic.state import AGENT, NONE, ROAD, VEHICLE, Phase, State, structure
 
@@ -58,7 +59,7 @@ def _body_ahead(slot: int, lane: int, absent: int, order: Any, count: int, vehic
         other = int(order[rank])
         if other == slot:
             return nearest
-        if other != absent and vehicles[other].lane_low <= lane <= vehicles[other].lane_high:
+        if other != absent and is_body_in(vehicles[other], lane):
             nearest = other
     return nearest
 

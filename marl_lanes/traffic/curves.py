@@ -59,10 +59,10 @@ def curve_speed(
 
 
 @internal
-def curve_acceleration(
+def _allowed_speed(
     car: Any, lateral_acceleration: float, braking: float, arcs: Any, constants: Any
 ) -> float:
-    """Toward ``curve_speed`` within the response time; inf on a straight road [m/s^2].
+    """``curve_speed`` where the car is, with the preview at its speed [m/s].
 
     Args:
         car: the vehicle.
@@ -71,28 +71,34 @@ def curve_acceleration(
         arcs: (K,) ARC, ascending.
         constants: of the scenario.
     """
+    return float(
+        curve_speed(
+            car.position,
+            car.lateral_position,
+            _PREVIEW * car.speed,
+            lateral_acceleration,
+            min(braking, constants.max_braking),
+            arcs,
+        )
+    )
+
+
+@internal
+def curve_acceleration(
+    car: Any, lateral_acceleration: float, braking: float, arcs: Any, constants: Any
+) -> float:
+    """Toward the allowed speed within the response time; inf on a straight road [m/s^2].
+
+    The arguments are those of ``_allowed_speed``.
+    """
     if arcs.shape[0] == 0:
         return math.inf
-    allowed = curve_speed(
-        car.position,
-        car.lateral_position,
-        _PREVIEW * car.speed,
-        lateral_acceleration,
-        min(braking, constants.max_braking),
-        arcs,
-    )
+    allowed = _allowed_speed(car, lateral_acceleration, braking, arcs, constants)
     return float((allowed - car.speed) / _RESPONSE)
 
 
 @internal
 def entry_speed(car: Any, profile: Any, arcs: Any, constants: Any) -> float:
     """The speed with which a vehicle enters: its own, or what the curves ahead allow [m/s]."""
-    allowed = curve_speed(
-        car.position,
-        car.lateral_position,
-        _PREVIEW * car.speed,
-        profile.comfortable_lateral_acceleration,
-        min(profile.comfortable_braking, constants.max_braking),
-        arcs,
-    )
-    return float(min(car.speed, allowed))
+    lateral, braking = profile.comfortable_lateral_acceleration, profile.comfortable_braking
+    return float(min(car.speed, _allowed_speed(car, lateral, braking, arcs, constants)))

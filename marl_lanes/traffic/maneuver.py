@@ -10,6 +10,7 @@ from typing import Any
 from marl_lanes.traffic.compiled import compiled, internal
 from marl_lanes.traffic.gap import is_target_gap_safe
 from marl_lanes.traffic.kinematics import lane_centre
+from marl_lanes.traffic.neighbors import is_body_in
 from marl_lanes.traffic.random import uniform
 from marl_lanes.traffic.state import NONE, Outcome, Phase
 
@@ -114,7 +115,7 @@ def change_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, const
         if is_target_gap_safe(agent, vehicles, profiles, constants):
             agent.phase = _ENGAGED
     elif agent.phase == _ENGAGED:
-        is_over_marking = car.lane_low <= agent.target_lane <= car.lane_high
+        is_over_marking = is_body_in(car, agent.target_lane)
         if not is_over_marking and not is_target_gap_safe(agent, vehicles, profiles, constants):
             agent.phase = _ABORTING
             agent.num_aborts += 1

@@ -33,7 +33,7 @@ def is_body_in(car: Any, lane: int) -> bool:
 @internal
 def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
     """Whether the body overlaps the lane, or the car is engaged or moving over toward it."""
-    if car.lane_low <= lane <= car.lane_high:
+    if is_body_in(car, lane):
         return True
     if car.agent == NONE:
         return bool(car.moving_over != 0 and car.lane == lane)

@@ -4,6 +4,7 @@ from typing import Any
 
 from marl_lanes.traffic.collisions import COLLIDES
 from marl_lanes.traffic.compiled import internal
+from marl_lanes.traffic.neighbors import is_body_in
 
 
 @internal
@@ -63,9 +64,9 @@ def reward_follower(follower: Any, agent: Any, vehicles: Any, has_aborted: bool,
         c: the scenario's constants.
     """
     driver, changer = vehicles[follower.vehicle], vehicles[agent.vehicle]
-    is_in_lane = changer.lane_low <= agent.target_lane <= changer.lane_high
+    has_entered = is_body_in(changer, agent.target_lane)
     braking = max(0.0, -driver.acceleration - c.follower_hard_braking)
-    follower.reward_delay = 0.0 if is_in_lane else c.follower_delay_weight * c.time_step
+    follower.reward_delay = 0.0 if has_entered else c.follower_delay_weight * c.time_step
     follower.reward_abort = c.follower_abort_weight if has_aborted else 0.0
     follower.reward_collision = -c.follower_collision_penalty if driver.fate == COLLIDES else 0.0
     follower.reward_discomfort = -c.follower_discomfort_weight * driver.acceleration**2

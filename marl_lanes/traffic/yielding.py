@@ -12,7 +12,7 @@ from marl_lanes.traffic.followers import drive_alone, yield_to
 from marl_lanes.traffic.gap import is_gap_safe
 from marl_lanes.traffic.kinematics import lane_centre, road_turn_rate
 from marl_lanes.traffic.maneuver import has_arrived
-from marl_lanes.traffic.neighbors import neighbor_in_lane
+from marl_lanes.traffic.neighbors import is_body_in, neighbor_in_lane
 from marl_lanes.traffic.state import NONE, Disposition
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
@@ -83,9 +83,10 @@ def _direction(car: Any, vehicles: Any, agents: Any, constants: Any) -> int:
     """
     changer = vehicles[car.changer]
     agent = agents[changer.agent]
-    is_body_in = changer.lane_low <= car.lane <= changer.lane_high
+    if agent.target_lane != car.lane or is_body_in(changer, car.lane):
+        return 0
     beyond = car.lane + agent.direction
-    if agent.target_lane != car.lane or is_body_in or not 0 <= beyond < constants.num_lanes:
+    if not 0 <= beyond < constants.num_lanes:
         return 0
     return int(agent.direction)
 
@@ -111,10 +112,9 @@ def move_over(
     for rank in range(count):
         car = vehicles[order[rank]]
         if car.moving_over != 0:
-            is_over_marking = car.lane_low <= car.lane <= car.lane_high
             if _is_settled(car, arcs, constants):
                 car.moving_over = 0
-            elif not is_over_marking and not _is_lane_free(
+            elif not is_body_in(car, car.lane) and not _is_lane_free(
                 rank, car.lane, safe, order, count, vehicles, agents, profiles, constants
             ):
                 car.lane -= car.moving_over
