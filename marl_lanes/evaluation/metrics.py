@@ -35,7 +35,8 @@ def _of_safety(name: str) -> Callable[[ManeuverMetrics], float]:
 
 
 def _of_completed_safety(name: str) -> Callable[[ManeuverMetrics], float]:
-    return lambda row: float(getattr(row.safety, name)) if row.outcome == Outcome.COMPLETED else nan
+    value = _of_safety(name)
+    return lambda row: value(row) if row.outcome == Outcome.COMPLETED else nan
 
 
 def _is_unsettled(row: ManeuverMetrics) -> float:
