@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE
 from marl_lanes.evaluation.simplex import minimise
-from marl_lanes.scenario.schema import Reward
+from marl_lanes.scenario.agent import Reward
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -4,12 +4,13 @@ The defaults are the paper's numbers, so a YAML file names only where it differs
 may be written ``30 km/h``.
 """
 
-from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from marl_lanes.scenario.curves import Arc, deviation_in_curves
+from marl_lanes.scenario.agent import Action, Completion, Observation, Reward
+from marl_lanes.scenario.curves import deviation_in_curves
+from marl_lanes.scenario.drivers import Drivers
 from marl_lanes.scenario.fields import (
     Count,
     NonNegative,
@@ -17,124 +18,10 @@ from marl_lanes.scenario.fields import (
     Positive,
     PositiveRange,
     Section,
-    Share,
     SpeedRange,
-    has_weight,
 )
 from marl_lanes.scenario.followers import Followers
-
-
-class Road(Section):
-    """One direction of a highway; lane 0 is the right-most, positive lateral is left."""
-
-    length: Positive = Field(1000.0, ge=100.0, le=100_000.0, description="[m], 100 to 100,000")
-    num_lanes: Count = Field(3, ge=2, le=16, description="lanes [count], 2 to 16")
-    lane_width: Positive = Field(3.75, ge=2.5, le=6.0, description="[m], 2.5 to 6")
-    arcs: tuple[Arc, ...] = Field(
-        (), description="curved stretches [list], ascending, disjoint; straight elsewhere"
-    )
-
-    @model_validator(mode="after")
-    def _check_arcs(self) -> Self:
-        for arc in self.arcs:
-            if not arc.start < arc.end <= self.length:
-                raise ValueError(
-                    f"arcs: start {arc.start} and end {arc.end} must satisfy "
-                    f"0 <= start < end <= length = {self.length}"
-                )
-            if abs(arc.radius) < max(50.0, 2.0 * self.num_lanes * self.lane_width):
-                raise ValueError(
-                    f"arcs: |radius| = {abs(arc.radius)} must be at least 50 m and twice "
-                    "the road's width"
-                )
-            if 2.0 * arc.transition > arc.end - arc.start:
-                raise ValueError(
-                    f"arcs: transition = {arc.transition} of the arc from {arc.start} to {arc.end} "
-                    f"must be at most half of its length, {(arc.end - arc.start) / 2.0}"
-                )
-        for first, second in pairwise(self.arcs):
-            if first.end > second.start:
-                raise ValueError(
-                    f"arcs: the arc that starts at {second.start} must not start before the "
-                    f"one ahead of it ends at {first.end}"
-                )
-        return self
-
-
-class Vehicle(Section):
-    """The rectangle that every vehicle is, and its physical limits."""
-
-    length: Positive = Field(4.8, ge=2.0, le=20.0, description="[m], 2 to 20")
-    width: Positive = Field(1.8, ge=0.5, le=2.5, description="[m], 0.5 to 2.5, < road.lane_width")
-    max_braking: Positive = Field(
-        8.0, ge=2.0, le=12.0, description="physical braking limit [m/s^2], 2 to 12"
-    )
-    min_turning_radius: Positive = Field(
-        5.5, ge=1.0, le=20.0, description="bounds |yaw rate| by speed/radius [m], 1 to 20"
-    )
-
-
-class DriverProfile(Section):
-    """An IDM parameter set (Eq. 9), and how fast the driver takes a curve."""
-
-    minimum_gap: Positive = Field(5.0, description="s0, gap at standstill [m], > 0")
-    time_headway: Positive = Field(1.0, description="T, time gap to the leader [s], > 0")
-    max_acceleration: Positive = Field(2.0, le=10.0, description="a_m [m/s^2], > 0 to 10")
-    comfortable_braking: Positive = Field(1.5, description="b [m/s^2], > 0")
-    exponent: Positive = Field(4.0, ge=1.0, description="delta [1], >= 1")
-    comfortable_lateral_acceleration: Positive = Field(
-        2.0, ge=0.2, le=4.0, description="v^2 |curvature| in a curve at most [m/s^2], 0.2 to 4"
-    )
-
-
-def _default_profiles() -> dict[str, DriverProfile]:
-    return {
-        "normal": DriverProfile(),
-        "aggressive": DriverProfile(
-            minimum_gap=3.0,
-            time_headway=0.6,
-            max_acceleration=3.0,
-            comfortable_braking=2.5,
-            comfortable_lateral_acceleration=3.0,
-        ),
-        "defensive": DriverProfile(
-            minimum_gap=6.0,
-            time_headway=1.6,
-            max_acceleration=1.4,
-            comfortable_braking=1.2,
-            comfortable_lateral_acceleration=1.5,
-        ),
-    }
-
-
-class Drivers(Section):
-    """Who drives: the car-following law and the mix of profiles."""
-
-    car_following: Literal["max", "sum", "acc"] = Field(
-        "max",
-        description="law [name]: 'max' is the paper's Eq. 9, 'sum' the standard IDM, 'acc' the "
-        "ACC model on top of it",
-    )
-    coolness: NonNegative = Field(
-        0.99, le=1.0, description="c of the ACC model [1], 0 (the standard IDM) to 1"
-    )
-    profiles: dict[str, DriverProfile] = Field(
-        default_factory=_default_profiles,
-        min_length=1,
-        max_length=16,
-        description="IDM parameter sets by name [map], 1 to 16",
-    )
-    mix: Annotated[dict[str, Share], AfterValidator(has_weight)] = Field(
-        default={"normal": 1.0},
-        description="share of each profile [1], 0 to 1e6, names from profiles, not all 0",
-    )
-
-    @model_validator(mode="after")
-    def _check_mix(self) -> Self:
-        unknown = sorted(set(self.mix) - set(self.profiles))
-        if unknown:
-            raise ValueError(f"mix: {unknown} must be among the profiles {sorted(self.profiles)}")
-        return self
+from marl_lanes.scenario.road import Road, Vehicle
 
 
 class Departures(Section):
@@ -223,122 +110,6 @@ class Gap(Section):
                 f"safe_braking = {self.safe_braking}"
             )
         return self
-
-
-class Completion(Section):
-    """When a changer has settled in its lane: every bound that is set holds.
-
-    In the target lane it has then completed; turned back, in its own, it waits again.
-    """
-
-    max_deviation: Positive = Field(0.2, description="|lateral deviation| [m], > 0")
-    max_lateral_speed: Positive | None = Field(
-        0.25, description="|lateral speed| [m/s], > 0, null for no bound"
-    )
-    max_yaw_rate: Positive | None = Field(
-        0.03, description="|yaw rate - the road's own| [rad/s], > 0, null for no bound"
-    )
-
-
-class Longitudinal(Section):
-    """The second dimension of the action: the longitudinal acceleration of a live agent."""
-
-    max_acceleration: Positive = Field(
-        2.0, le=10.0, description="upper bound of the action [m/s^2], > 0 to 10"
-    )
-    max_braking: Positive = Field(
-        3.0, le=12.0, description="lower bound of the action, as a braking [m/s^2], > 0 to 12"
-    )
-    max_speed: Positive = Field(
-        40.0, le=70.0, description="it accelerates up to this speed [m/s], > 0 to 70"
-    )
-
-
-class Action(Section):
-    """The agent's action."""
-
-    max_yaw_acceleration: Positive = Field(
-        0.5, le=5.0, description="bound of the yaw acceleration [rad/s^2], > 0 to 5"
-    )
-    longitudinal: Longitudinal | None = Field(
-        None, description="a second action, the longitudinal acceleration [section], null without"
-    )
-
-    @property
-    def num_actions(self) -> int:
-        """D: 1, or 2 with the longitudinal acceleration."""
-        return 1 if self.longitudinal is None else 2
-
-
-FeatureName = Literal[
-    "speed",
-    "acceleration",
-    "lateral_deviation",
-    "lateral_speed",
-    "yaw",
-    "yaw_rate",
-    "curvature",
-    "leader_gap",
-    "leader_relative_speed",
-    "follower_gap",
-    "follower_relative_speed",
-    "target_leader_gap",
-    "target_leader_relative_speed",
-    "target_follower_gap",
-    "target_follower_relative_speed",
-    "phase",
-    "time",
-    "car_following_acceleration",
-    "distance_to_end",
-]
-PAPER_FEATURES: tuple[FeatureName, ...] = (
-    "speed",
-    "acceleration",
-    "lateral_deviation",
-    "yaw",
-    "yaw_rate",
-    "curvature",
-)
-
-
-class Observation(Section):
-    """What an agent sees."""
-
-    features: tuple[FeatureName, ...] = Field(
-        PAPER_FEATURES, min_length=1, description="feature names in order [list], no name twice"
-    )
-    sensor_range: Positive = Field(
-        200.0,
-        le=10_000.0,
-        description="gaps are cut off here; no vehicle looks like this gap [m], > 0 to 10,000",
-    )
-
-    @model_validator(mode="after")
-    def _check_features(self) -> Self:
-        twice = sorted({name for name in self.features if self.features.count(name) > 1})
-        if twice:
-            raise ValueError(f"features: {twice} must be named once")
-        return self
-
-
-class Reward(Section):
-    """Eq. 10, Eq. 11, Eq. 12 and the failure penalty."""
-
-    acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
-    yaw_rate_weight: NonNegative = Field(0.5, description="w_rate [1/(rad/s)], >= 0")
-    deviation_weight: NonNegative = Field(0.05, description="w_dev [1], >= 0")
-    average_deviation: Positive = Field(1.875, description="d_avg [m], > 0")
-    failure_penalty: NonNegative = Field(
-        10.0, description="paid once at a collision or off the road [1], >= 0"
-    )
-    delay_weight: NonNegative = Field(
-        0.0, description="for each second since the command [1/s], >= 0"
-    )
-    longitudinal_weight: NonNegative = Field(
-        0.0,
-        description="on the square of what the longitudinal action departs from car following "
-        "[s^4/m^2], >= 0",
-    )
 
 
 class Scenario(Section):

@@ -1,0 +1,123 @@
+"""What an agent does, sees and is paid, and when its change is complete."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from marl_lanes.scenario.fields import NonNegative, Positive, Section
+
+
+class Completion(Section):
+    """When a changer has settled in its lane: every bound that is set holds.
+
+    In the target lane it has then completed; turned back, in its own, it waits again.
+    """
+
+    max_deviation: Positive = Field(0.2, description="|lateral deviation| [m], > 0")
+    max_lateral_speed: Positive | None = Field(
+        0.25, description="|lateral speed| [m/s], > 0, null for no bound"
+    )
+    max_yaw_rate: Positive | None = Field(
+        0.03, description="|yaw rate - the road's own| [rad/s], > 0, null for no bound"
+    )
+
+
+class Longitudinal(Section):
+    """The second dimension of the action: the longitudinal acceleration of a live agent."""
+
+    max_acceleration: Positive = Field(
+        2.0, le=10.0, description="upper bound of the action [m/s^2], > 0 to 10"
+    )
+    max_braking: Positive = Field(
+        3.0, le=12.0, description="lower bound of the action, as a braking [m/s^2], > 0 to 12"
+    )
+    max_speed: Positive = Field(
+        40.0, le=70.0, description="it accelerates up to this speed [m/s], > 0 to 70"
+    )
+
+
+class Action(Section):
+    """The agent's action."""
+
+    max_yaw_acceleration: Positive = Field(
+        0.5, le=5.0, description="bound of the yaw acceleration [rad/s^2], > 0 to 5"
+    )
+    longitudinal: Longitudinal | None = Field(
+        None, description="a second action, the longitudinal acceleration [section], null without"
+    )
+
+    @property
+    def num_actions(self) -> int:
+        """D: 1, or 2 with the longitudinal acceleration."""
+        return 1 if self.longitudinal is None else 2
+
+
+FeatureName = Literal[
+    "speed",
+    "acceleration",
+    "lateral_deviation",
+    "lateral_speed",
+    "yaw",
+    "yaw_rate",
+    "curvature",
+    "leader_gap",
+    "leader_relative_speed",
+    "follower_gap",
+    "follower_relative_speed",
+    "target_leader_gap",
+    "target_leader_relative_speed",
+    "target_follower_gap",
+    "target_follower_relative_speed",
+    "phase",
+    "time",
+    "car_following_acceleration",
+    "distance_to_end",
+]
+PAPER_FEATURES: tuple[FeatureName, ...] = (
+    "speed",
+    "acceleration",
+    "lateral_deviation",
+    "yaw",
+    "yaw_rate",
+    "curvature",
+)
+
+
+class Observation(Section):
+    """What an agent sees."""
+
+    features: tuple[FeatureName, ...] = Field(
+        PAPER_FEATURES, min_length=1, description="feature names in order [list], no name twice"
+    )
+    sensor_range: Positive = Field(
+        200.0,
+        le=10_000.0,
+        description="gaps are cut off here; no vehicle looks like this gap [m], > 0 to 10,000",
+    )
+
+    @model_validator(mode="after")
+    def _check_features(self) -> Self:
+        twice = sorted({name for name in self.features if self.features.count(name) > 1})
+        if twice:
+            raise ValueError(f"features: {twice} must be named once")
+        return self
+
+
+class Reward(Section):
+    """Eq. 10, Eq. 11, Eq. 12 and the failure penalty."""
+
+    acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
+    yaw_rate_weight: NonNegative = Field(0.5, description="w_rate [1/(rad/s)], >= 0")
+    deviation_weight: NonNegative = Field(0.05, description="w_dev [1], >= 0")
+    average_deviation: Positive = Field(1.875, description="d_avg [m], > 0")
+    failure_penalty: NonNegative = Field(
+        10.0, description="paid once at a collision or off the road [1], >= 0"
+    )
+    delay_weight: NonNegative = Field(
+        0.0, description="for each second since the command [1/s], >= 0"
+    )
+    longitudinal_weight: NonNegative = Field(
+        0.0,
+        description="on the square of what the longitudinal action departs from car following "
+        "[s^4/m^2], >= 0",
+    )

@@ -1,0 +1,70 @@
+"""Who drives: the car-following law and the profiles."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from marl_lanes.scenario.fields import NonNegative, Positive, Section, Share, has_weight
+
+
+class DriverProfile(Section):
+    """An IDM parameter set (Eq. 9), and how fast the driver takes a curve."""
+
+    minimum_gap: Positive = Field(5.0, description="s0, gap at standstill [m], > 0")
+    time_headway: Positive = Field(1.0, description="T, time gap to the leader [s], > 0")
+    max_acceleration: Positive = Field(2.0, le=10.0, description="a_m [m/s^2], > 0 to 10")
+    comfortable_braking: Positive = Field(1.5, description="b [m/s^2], > 0")
+    exponent: Positive = Field(4.0, ge=1.0, description="delta [1], >= 1")
+    comfortable_lateral_acceleration: Positive = Field(
+        2.0, ge=0.2, le=4.0, description="v^2 |curvature| in a curve at most [m/s^2], 0.2 to 4"
+    )
+
+
+def _default_profiles() -> dict[str, DriverProfile]:
+    return {
+        "normal": DriverProfile(),
+        "aggressive": DriverProfile(
+            minimum_gap=3.0,
+            time_headway=0.6,
+            max_acceleration=3.0,
+            comfortable_braking=2.5,
+            comfortable_lateral_acceleration=3.0,
+        ),
+        "defensive": DriverProfile(
+            minimum_gap=6.0,
+            time_headway=1.6,
+            max_acceleration=1.4,
+            comfortable_braking=1.2,
+            comfortable_lateral_acceleration=1.5,
+        ),
+    }
+
+
+class Drivers(Section):
+    """Who drives: the car-following law and the mix of profiles."""
+
+    car_following: Literal["max", "sum", "acc"] = Field(
+        "max",
+        description="law [name]: 'max' is the paper's Eq. 9, 'sum' the standard IDM, 'acc' the "
+        "ACC model on top of it",
+    )
+    coolness: NonNegative = Field(
+        0.99, le=1.0, description="c of the ACC model [1], 0 (the standard IDM) to 1"
+    )
+    profiles: dict[str, DriverProfile] = Field(
+        default_factory=_default_profiles,
+        min_length=1,
+        max_length=16,
+        description="IDM parameter sets by name [map], 1 to 16",
+    )
+    mix: Annotated[dict[str, Share], AfterValidator(has_weight)] = Field(
+        default={"normal": 1.0},
+        description="share of each profile [1], 0 to 1e6, names from profiles, not all 0",
+    )
+
+    @model_validator(mode="after")
+    def _check_mix(self) -> Self:
+        unknown = sorted(set(self.mix) - set(self.profiles))
+        if unknown:
+            raise ValueError(f"mix: {unknown} must be among the profiles {sorted(self.profiles)}")
+        return self
