@@ -251,8 +251,8 @@ def test_rays_address_is_an_option():
         (["num_workers=2"], "num_workers = 2: must be 1 with collector=single"),
         (["ray.address=auto"], "ray.address = 'auto': must be null without ray"),
         (
-            ["collector=multi", "num_workers=3"],
-            "collector.num_envs = 512: must be a multiple of num_workers = 3",
+            ["collector=multi", "num_workers=3", "collector.num_envs=64"],
+            "collector.num_envs = 64: must be a multiple of num_workers = 3",
         ),
     ],
 )
