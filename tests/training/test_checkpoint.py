@@ -106,7 +106,7 @@ def test_it_holds_only_plain_types_and_tensors(path):
 @pytest.mark.parametrize("save", ["pickle", "torch"])
 def test_code_in_a_file_is_not_run(tmp_path, read, save):
     target, file = tmp_path / "made", tmp_path / "evil.pt"
-    content = {"format": "marl-lanes NAF policy 3", "config": Attack(target)}
+    content = {"format": "marl-lanes NAF policy 4", "config": Attack(target)}
     if save == "pickle":
         file.write_bytes(pickle.dumps(content, protocol=2))
     else:
@@ -171,18 +171,18 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
         {},
         {"format": "another"},
         {"format": 3},
-        {"format": "marl-lanes training state 4"},
+        {"format": "marl-lanes training state 5"},
     ],
 )
 def test_other_forms_are_refused(tmp_path, content):
     file = tmp_path / "form.pt"
     torch.save(content, file)
-    with pytest.raises(CheckpointError, match=r"form\.pt.*marl-lanes NAF policy 3"):
+    with pytest.raises(CheckpointError, match=r"form\.pt.*marl-lanes NAF policy 4"):
         read_checkpoint(file)
 
 
 def test_a_checkpoint_is_not_a_training_state(path):
-    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 4"):
+    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 5"):
         read_state(path)
 
 

@@ -252,7 +252,7 @@ def test_rays_address_is_an_option():
         (["ray.address=auto"], "ray.address = 'auto': must be null without ray"),
         (
             ["collector=multi", "num_workers=3"],
-            "collector.num_envs = 512: must be a multiple of num_workers = 3",
+            "collector.num_envs = 256: must be a multiple of num_workers = 3",
         ),
     ],
 )

@@ -304,7 +304,7 @@ def test_a_replay_buffer_of_files_changes_nothing_else(tmp_path):
         learner = changers(f"replay.storage={storage}", "replay.capacity=150")
         run = tmp_path / storage
         learner.begin(run)
-        assert learner.train(Crash(run, tmp_path / f"{storage}-crashed", at=3))
+        assert learner.train(Crash(run, tmp_path / f"{storage}-crashed", at=2))
         assert len(learner.replay) == 150
         assert (run / "replay").exists() == (storage == "memmap")
         learner.close()
