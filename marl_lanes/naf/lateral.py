@@ -204,10 +204,12 @@ def steer_by_cascade(
 class CascadeMu(_YawAcceleration):
     """`steer_by_cascade` with gains from six networks, initially TUNED_CASCADE, a_max 0.9 bound.
 
-    Whatever is learned the vehicle comes within 0.3 m of the centre, and one that is turned back at
-    the marking stays on the road: each gain keeps to its range. The lag is shorter than 2 zeta T,
-    above which the linear loop is unstable. a_top is at most what UN R79 allows, 1 m/s^2. What the
-    threshold holds back is at most the turn for 0.2 m of deviation, and 0.3 of the largest turn.
+    Each gain keeps to its range. Whatever is learned, the vehicle ends within 0.3 m of the centre,
+    and one that is turned back at the marking stays on the road. At first it may swing past the
+    centre, by up to 2.2 m: over the edge, where the lane is the road's last. The lag is shorter
+    than 2 zeta T, above which the linear loop is unstable. a_top is at most what UN R79 allows,
+    1 m/s^2. What the threshold holds back is at most the turn for 0.2 m of deviation, and 0.3 of
+    the largest turn.
     """
 
     needs = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
