@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from marl_lanes.scenario import list_scenarios, load_scenario
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.machine.compiled import compiled
 from marl_lanes.traffic.simulator import Simulator
 
 FILE = Path(__file__).with_suffix(".json")
