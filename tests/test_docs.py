@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from marl_lanes import Scenario, load_scenario
 from marl_lanes.evaluation.metrics import summarise
-from marl_lanes.traffic.roles.observation import FEATURES
+from marl_lanes.traffic.roles.changer import FEATURES
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
 from marl_lanes.training.config import TrainingConfig
 

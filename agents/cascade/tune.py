@@ -16,6 +16,7 @@ from tqdm import trange
 from marl_lanes import ScenarioError, Simulator
 from marl_lanes.naf.lateral import TUNED_CASCADE, CascadeGains, steer_by_cascade
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.files import write_json
 
 LOWEST = CascadeGains(limit=0.2, time=0.8, lateral_limit=0.3, lag=0.08, damping=0.4, threshold=0.0)
@@ -60,10 +61,11 @@ class Roads:
     ) -> None:
         features: list[str] = list(scenario.observation.features)
         missing = [name for name in STEERING_FEATURES if name not in features]
-        if missing or scenario.action.num_actions != 1:
+        num_actions = len(CHANGER.act(scenario))
+        if missing or num_actions != 1:
             raise ScenarioError(
                 f"scenario {scenario.name!r}: must have one action and the features "
-                f"{list(STEERING_FEATURES)}; it has {scenario.action.num_actions} and {features}"
+                f"{list(STEERING_FEATURES)}; it has {num_actions} and {features}"
             )
         self.columns = [features.index(name) for name in STEERING_FEATURES]
         self.population, self.roads = population, roads

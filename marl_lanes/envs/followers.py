@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.followers import LEARNED
-from marl_lanes.traffic.parameters import follower_action_bounds
 from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS, FollowerPolicy, registered_follower
+from marl_lanes.traffic.roles.follower import FOLLOWER
 
 if TYPE_CHECKING:
     from marl_lanes.naf.network import NAFNetwork
@@ -61,7 +61,7 @@ def load_follower(path: Path, scenario: Scenario) -> FollowerPolicy:
             f"follower checkpoint {path}: its features are {network.features}, a follower has "
             f"{wanted}"
         )
-    low, high = follower_action_bounds(scenario)
+    low, high = FOLLOWER.action_bounds(scenario)
     found = network.config["action_low"], network.config["action_high"]
     if found != (low.tolist(), high.tolist()):
         raise CheckpointError(

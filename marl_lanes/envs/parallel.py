@@ -13,10 +13,10 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
-from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
-from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
+from marl_lanes.traffic.machine.state import NONE, Outcome, Phase, truncates
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
-from marl_lanes.traffic.roles.observation import feature_bounds, follower_feature_bounds
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.simulator import Simulator
 
 STATE_COLUMNS = (
@@ -31,24 +31,14 @@ STATE_COLUMNS = (
 """Columns of ``state()``: fields of the vehicle table; ``agent`` is the serial number of its
 command, -1 without one."""
 
-_TERMINATING = {int(Outcome.COMPLETED), int(Outcome.COLLISION), int(Outcome.OFF_ROAD)}
-_TERMS = (
-    "reward_acceleration",
-    "reward_yaw_rate",
-    "reward_deviation",
-    "reward_failure",
-    "reward_delay",
-    "reward_longitudinal",
-)
-_FOLLOWER_TERMS = (
-    "reward_delay",
-    "reward_abort",
-    "reward_collision",
-    "reward_discomfort",
-    "reward_braking",
-)
-_INFO = ("phase", "outcome", "num_aborts", *_TERMS)
-_FOLLOWER_INFO = ("phase", "is_paired", *_FOLLOWER_TERMS)
+_TRUNCATING = {int(outcome) for outcome in Outcome if truncates(outcome)}
+
+_FIELDS = ("phase", "outcome", "num_aborts")
+_INFO = {
+    CHANGER.name: (*_FIELDS, *CHANGER.reward_names),
+    FOLLOWER.name: ("phase", "is_paired", *FOLLOWER.reward_names),
+}
+"""Keys of an agent's info."""
 
 _ABSENT = int(Phase.ABSENT)
 _UNFINISHED = int(Outcome.UNFINISHED)
@@ -151,24 +141,20 @@ class LaneChangeParallelEnv(ParallelEnv):
         self.render_mode = render_mode
         self.fixed_agents = fixed_agents
         self.agents: list[str] = []
-        self.groups = ("changer", "follower") if learned_followers else ("changer",)
-        self.possible_agents = [
-            f"{group}_{k}" for group in self.groups for k in range(self.scenario.num_agents)
-        ]
-        self._rank = {agent: rank for rank, agent in enumerate(self.possible_agents)}
-        bounds = {
-            "changer": (
-                feature_bounds(self.scenario.observation.features),
-                action_bounds(self.scenario),
-            ),
-            "follower": (follower_feature_bounds(), follower_action_bounds(self.scenario)),
+        self._names = {
+            role.name: [f"{role.name}_{k}" for k in range(self.scenario.num_agents)]
+            for role in self.simulator.roles
         }
+        self._role_of = {
+            agent: role for role in self.simulator.roles for agent in self._names[role.name]
+        }
+        self.possible_agents = list(self._role_of)
+        self._rank = {agent: rank for rank, agent in enumerate(self.possible_agents)}
         self.observation_spaces = {}
         self.action_spaces = {}
-        for agent in self.possible_agents:
-            seen, acted = bounds[agent.partition("_")[0]]
-            self.observation_spaces[agent] = Box(*seen)
-            self.action_spaces[agent] = Box(*acted)
+        for agent, role in self._role_of.items():
+            self.observation_spaces[agent] = Box(*role.observation_bounds(self.scenario))
+            self.action_spaces[agent] = Box(*role.action_bounds(self.scenario))
         shape = (self.scenario.max_vehicles, len(STATE_COLUMNS))
         self.state_space = Box(-np.inf, np.inf, shape, np.float32)
         self._slots: dict[str, int] = {}
@@ -182,7 +168,8 @@ class LaneChangeParallelEnv(ParallelEnv):
         self._seen, self._is_done = state.observations[0], state.roads["is_done"]
         self._phases, self._outcomes = table["phase"], table["outcome"]
         self._commands, self._rewards = table["command"], table["reward"]
-        self._info = [table[name] for name in _INFO]
+        self._told = [table[name] for name in _FIELDS]
+        self._told += [table["terms"][:, index] for index in range(len(CHANGER.terms))]
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # A copy's views must be of its own road.
@@ -233,7 +220,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         values = [self._read_action(agent, actions) for agent in self.agents]
         simulator = self.simulator
         for agent, value in zip(self.agents, values, strict=True):
-            is_changer = agent.startswith("changer")
+            is_changer = self._role_of[agent] is CHANGER
             buffer = simulator.actions if is_changer else simulator.follower_actions
             buffer[0, self._slots[agent]] = value
         simulator.advance()
@@ -295,17 +282,18 @@ class LaneChangeParallelEnv(ParallelEnv):
             if phase == _ABSENT and not is_over:
                 continue
             command = self._commands.item(slot)
-            name = self.possible_agents[command]
-            terminations[name] = outcome in _TERMINATING
-            truncations[name] = is_over and outcome not in _TERMINATING
+            name = self._names[CHANGER.name][command]
+            truncations[name] = outcome in _TRUNCATING
+            terminations[name] = is_over and outcome not in _TRUNCATING
             observations[name] = self._seen[slot].copy()
             rewards[name] = self._rewards.item(slot)
-            values = [float(column.item(slot)) for column in self._info]
-            infos[name] = dict(zip(_INFO, values, strict=True))
+            values = [float(column.item(slot)) for column in self._told]
+            infos[name] = dict(zip(_INFO[CHANGER.name], values, strict=True))
             both = [name]
-            if len(self.groups) > 1:
-                both.append(f"follower_{command}")
-                self._collect_follower(slot, name, result)
+            if FOLLOWER.name in self._names:
+                follower = self._names[FOLLOWER.name][command]
+                both.append(follower)
+                self._collect_follower(slot, name, follower, result)
             if is_over:
                 self._finished.update(both)
             else:
@@ -313,10 +301,9 @@ class LaneChangeParallelEnv(ParallelEnv):
                 self._slots.update(dict.fromkeys(both, slot))
         self.agents.sort(key=self._rank.__getitem__)
 
-    def _collect_follower(self, slot: int, changer: str, result: Step) -> None:
+    def _collect_follower(self, slot: int, changer: str, name: str, result: Step) -> None:
         """Write what the driver behind the changer of a slot has into the dicts."""
         observations, rewards, terminations, truncations, infos = result
-        name = changer.replace("changer", "follower")
         record = self.simulator.state.followers[0, slot]
         observations[name] = self.simulator.state.follower_observations[0, slot].copy()
         rewards[name] = float(record["reward"])
@@ -324,7 +311,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         infos[name] = {
             "phase": infos[changer]["phase"],
             "is_paired": float(self.simulator.is_follower_acting[0, slot]),
-            **{term: float(record[term]) for term in _FOLLOWER_TERMS},
+            **dict(zip(FOLLOWER.reward_names, record["terms"].tolist(), strict=True)),
         }
 
     def _absent(self) -> Step:
@@ -337,10 +324,7 @@ class LaneChangeParallelEnv(ParallelEnv):
             dict.fromkeys(names, 0.0),
             {name: name in self._finished for name in names},
             dict.fromkeys(names, False),
-            {
-                name: dict.fromkeys(_INFO if name.startswith("changer") else _FOLLOWER_INFO, 0.0)
-                for name in names
-            },
+            {name: dict.fromkeys(_INFO[self._role_of[name].name], 0.0) for name in names},
         )
 
     def _close_episode(self, result: Step) -> None:

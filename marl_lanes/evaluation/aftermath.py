@@ -6,8 +6,12 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.traffic.machine.compiled import on_columns
 from marl_lanes.traffic.machine.state import Fate
+from marl_lanes.traffic.road.geometry import lane_centre
 from marl_lanes.traffic.simulator import Simulator
+
+_lane_centre = on_columns(lane_centre)
 
 WATCHED_TIME = 10.0
 """[s] How long a vehicle is watched after it has completed."""
@@ -172,6 +176,6 @@ class Watch:
         self, watched: NDArray[np.void], lateral_position: NDArray[np.float64]
     ) -> None:
         width = self._simulator.scenario.road.lane_width
-        beyond = watched["direction"] * (lateral_position - (watched["lane"] + 0.5) * width)
+        beyond = watched["direction"] * (lateral_position - _lane_centre(watched["lane"], width))
         self._indices.append(watched["index"].copy())
         self._deviations.append(beyond)

@@ -59,7 +59,7 @@ class Program:
             ]
         )
         weights = np.zeros(3 * n + 1)
-        weights[:n] = self.reward.acceleration_weight
+        weights[:n] = self.reward.yaw_acceleration_weight
         weights[n : 2 * n] = self.reward.yaw_rate_weight
         weights[2 * n : 3 * n] = self.reward.deviation_weight / self.reward.average_deviation
         bounds = np.full(3 * n + 1, np.inf)

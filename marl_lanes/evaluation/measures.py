@@ -12,11 +12,16 @@ from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.evaluation.safety import SafetyMetrics, attempts, hardest_braking, measure_safety
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.roles.changer import CHANGER
 
 LATERAL_JERK_WINDOW = 0.5
 """[s] Lateral jerk is averaged over this time, UN R79."""
 LONGITUDINAL_JERK_WINDOW = 1.0
 """[s] Longitudinal jerk is averaged over this time, ISO 15622."""
+
+
+STEERING_COSTS = tuple(term.name for term in CHANGER.terms if term.is_steering_cost)
+"""The terms of the reward that a maneuver's return sums, Eq. 13."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +46,8 @@ class ManeuverMetrics:
     num_aborts: int
     has_side_collision: bool
     return_: float
-    return_acceleration: float
-    return_yaw_rate: float
-    return_deviation: float
+    returns: dict[str, float]
+    """By steering cost."""
     episode_reward: float
     num_steps: int
     duration: float
@@ -78,9 +82,7 @@ def measure(
     speed = trace["speed"]
     lateral_acceleration = speed * turning
     turning_before = trace["yaw_rate_before"] - trace["road_turn_rate_before"]
-    returns = [
-        float(trace[f"reward_{name}"].sum()) for name in ("acceleration", "yaw_rate", "deviation")
-    ]
+    returns = {name: float(trace[f"reward_{name}"].sum()) for name in STEERING_COSTS}
     is_completed = maneuver.outcome == Outcome.COMPLETED
     optimal = nan
     if is_completed and with_optimum:
@@ -89,10 +91,8 @@ def measure(
         outcome=maneuver.outcome,
         num_aborts=maneuver.num_aborts,
         has_side_collision=maneuver.has_side_collision,
-        return_=sum(returns),
-        return_acceleration=returns[0],
-        return_yaw_rate=returns[1],
-        return_deviation=returns[2],
+        return_=sum(returns.values()),
+        returns=returns,
         episode_reward=maneuver.episode_reward,
         num_steps=len(trace),
         duration=len(trace) * step,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from marl_lanes.evaluation.measures import ManeuverMetrics, measure
+from marl_lanes.evaluation.measures import STEERING_COSTS, ManeuverMetrics, measure
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import Outcome
@@ -24,6 +24,10 @@ def _ended_by(outcome: Outcome) -> Callable[[ManeuverMetrics], float]:
 
 def _if_completed(name: str) -> Callable[[ManeuverMetrics], float]:
     return lambda row: float(getattr(row, name)) if row.outcome == Outcome.COMPLETED else nan
+
+
+def _return_if_completed(name: str) -> Callable[[ManeuverMetrics], float]:
+    return lambda row: row.returns[name] if row.outcome == Outcome.COMPLETED else nan
 
 
 def _if_watched(name: str) -> Callable[[ManeuverMetrics], float]:
@@ -113,9 +117,7 @@ AVERAGES: dict[str, Callable[[ManeuverMetrics], float]] = {
     "off_road_rate": _ended_by(Outcome.OFF_ROAD),
     "horizon_rate": _ended_by(Outcome.HORIZON),
     "mean_return": _if_completed("return_"),
-    "mean_return_acceleration": _if_completed("return_acceleration"),
-    "mean_return_yaw_rate": _if_completed("return_yaw_rate"),
-    "mean_return_deviation": _if_completed("return_deviation"),
+    **{f"mean_return_{name}": _return_if_completed(name) for name in STEERING_COSTS},
     "mean_return_all": lambda row: row.return_,
     "mean_episode_reward": lambda row: row.episode_reward,
     "mean_optimal_return": _if_completed("optimal_return"),

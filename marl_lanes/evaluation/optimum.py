@@ -261,7 +261,7 @@ class _Search:
         """What the actions really cost, and whether they end in completion."""
         known = self.replay.follow(actions)
         cost = (
-            self.reward.acceleration_weight * np.abs(actions).sum()
+            self.reward.yaw_acceleration_weight * np.abs(actions).sum()
             + self.reward.yaw_rate_weight * np.abs(known[YAW_RATE]).sum()
             + self.reward.deviation_weight
             * (np.abs(known[DEVIATION]) / self.reward.average_deviation).sum()

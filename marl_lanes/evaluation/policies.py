@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from marl_lanes.evaluation.rollout import Policy
 from marl_lanes.naf.lateral import TUNED_CASCADE, steer_by_cascade
 from marl_lanes.scenario import Scenario, ScenarioError
+from marl_lanes.traffic.roles.changer import CHANGER
 
 _STEERING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
 _CAR_FOLLOWING = "car_following_acceleration"
@@ -91,12 +92,8 @@ def _make_steering_policy(
 
 def _bounds(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The least and the largest action, each (D,)."""
-    yaw = scenario.action.max_yaw_acceleration
-    longitudinal = scenario.action.longitudinal
-    if longitudinal is None:
-        return np.array([-yaw]), np.array([yaw])
-    low = np.array([-yaw, -longitudinal.max_braking])
-    return low, np.array([yaw, longitudinal.max_acceleration])
+    dimensions = CHANGER.act(scenario)
+    return np.array([one.low for one in dimensions]), np.array([one.high for one in dimensions])
 
 
 def _columns(scenario: Scenario, needed: Sequence[str], name: str) -> list[int]:

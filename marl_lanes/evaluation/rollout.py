@@ -11,11 +11,20 @@ from numpy.typing import NDArray
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.evaluation.aftermath import Aftermath, Watch
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.traffic.command.phases import reference_lane
 from marl_lanes.traffic.counterfactual import accelerations_without_change
-from marl_lanes.traffic.machine.state import NONE, CollisionKind, Outcome, Phase
-from marl_lanes.traffic.road.geometry import road_turning
+from marl_lanes.traffic.machine.compiled import on_columns
+from marl_lanes.traffic.machine.state import NONE, CollisionKind, Outcome
+from marl_lanes.traffic.road.geometry import is_body_in, lane_centre, road_turning
+from marl_lanes.traffic.road.neighbors import bumper_gap
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.simulator import Simulator
+
+_is_body_in = on_columns(is_body_in)
+_lane_centre = on_columns(lane_centre)
+_reference_lane = on_columns(reference_lane)
+_bumper_gap = on_columns(bumper_gap)
 
 Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 """Observations of N acting agents, (N, F), to their actions, (N, D)."""
@@ -67,9 +76,7 @@ TRACE = np.dtype(
         # step, of the changer and of who was behind it then; nan where nobody was.
         ("imposed_on_changer", "f8"),
         ("imposed_on_follower", "f8"),
-        ("reward_acceleration", "f8"),
-        ("reward_yaw_rate", "f8"),
-        ("reward_deviation", "f8"),
+        *((name, "f8") for name in CHANGER.reward_names),
     ]
 )
 """One row for every step in which an agent steered."""
@@ -119,7 +126,7 @@ class _Recorder:
     def before(self) -> None:
         """Note who steers, and the state in which it acts."""
         simulator = self.simulator
-        envs, slots = np.nonzero(simulator.is_engaged)
+        envs, slots = np.nonzero(simulator.is_steering)
         agents = simulator.agents[envs, slots]
         cars = simulator.vehicles[envs, agents["vehicle"]]
         rows = np.zeros(envs.size, TRACE)
@@ -135,7 +142,8 @@ class _Recorder:
         curvature, turn_rate = road_turning(cars, simulator.parameters.arcs)
         rows["curvature"] = direction * curvature
         rows["road_turn_rate_before"] = direction * turn_rate
-        rows["follower_gap_before"] = self._gap(envs, cars, agents["target_follower"], -1.0)
+        behind = agents["target_follower"]
+        rows["follower_gap_before"] = self._gap(envs, cars, behind, is_ahead=False)
         without = accelerations_without_change(simulator.state, simulator.parameters)
         self._pending = rows, envs, slots
         self._without = [found[envs, slots] for found in without]
@@ -158,22 +166,23 @@ class _Recorder:
         target = agents["target_lane"]
         origin = agents["origin_lane"]
         rows["position"] = cars["position"]
-        rows["is_over_marking"] = (cars["lane_low"] <= target) & (target <= cars["lane_high"])
-        rows["is_in_origin"] = (cars["lane_low"] <= origin) & (origin <= cars["lane_high"])
-        for side, sign in (("leader", 1.0), ("follower", -1.0)):
+        bodies = cars.view(np.recarray)
+        rows["is_over_marking"] = _is_body_in(bodies, target)
+        rows["is_in_origin"] = _is_body_in(bodies, origin)
+        for side, is_ahead in (("leader", True), ("follower", False)):
             for slot, prefix in ((agents[f"target_{side}"], ""), (agents[side], "origin_")):
                 others = simulator.vehicles[envs, slot]
-                rows[f"{prefix}{side}_gap"] = self._gap(envs, cars, slot, sign)
+                rows[f"{prefix}{side}_gap"] = self._gap(envs, cars, slot, is_ahead=is_ahead)
                 rows[f"{prefix}{side}_speed"] = np.where(slot == NONE, np.nan, others["speed"])
             slot = agents[f"target_{side}"]
             others = simulator.vehicles[envs, slot]
             rows[f"{side}_id"] = np.where(slot == NONE, NONE, others["id"])
-            if side == "follower":
+            if not is_ahead:
                 acceleration = np.where(slot == NONE, np.nan, others["acceleration"])
                 rows["follower_acceleration"] = acceleration
         self._note_imposed(rows, envs)
-        for name in ("reward_acceleration", "reward_yaw_rate", "reward_deviation"):
-            rows[name] = agents[name]
+        for name, values in CHANGER.terms_of(agents).items():
+            rows[name] = values
         self.rows.append(rows)
         self.watch.advance()
         self._note_outcomes()
@@ -226,15 +235,16 @@ class _Recorder:
         return bool((is_own & is_new & (records["kind"] == CollisionKind.SIDE)).any())
 
     def _deviation(self, agents: Any, cars: Any, phase: Any) -> NDArray[np.float64]:
-        lane = np.where(phase == Phase.ABORTING, agents["origin_lane"], agents["target_lane"])
-        centre = (lane + 0.5) * self.simulator.scenario.road.lane_width
+        lane = _reference_lane(phase, agents["origin_lane"], agents["target_lane"])
+        centre = _lane_centre(lane, self.simulator.scenario.road.lane_width)
         return np.asarray(agents["direction"] * (centre - cars["lateral_position"]))
 
-    def _gap(self, envs: Any, cars: Any, slot: Any, sign: float) -> NDArray[np.float64]:
-        """Bumper to bumper, to the vehicles ahead (sign 1) or behind (-1); inf where none is."""
+    def _gap(self, envs: Any, cars: Any, slot: Any, *, is_ahead: bool) -> NDArray[np.float64]:
+        """Bumper to bumper, to the vehicles ahead or behind; inf where none is."""
         others = self.simulator.vehicles[envs, slot]
-        length = self.simulator.scenario.vehicle.length
-        gap = sign * (others["position"] - cars["position"]) - length
+        rear, front = (cars, others) if is_ahead else (others, cars)
+        constants = self.simulator.parameters.constants[0]
+        gap = _bumper_gap(rear.view(np.recarray), front.view(np.recarray), constants)
         return np.where(slot == NONE, np.inf, gap)
 
     def finish(self) -> list[Maneuver]:

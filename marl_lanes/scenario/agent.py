@@ -46,11 +46,6 @@ class Action(Section):
         None, description="a second action, the longitudinal acceleration [section], null without"
     )
 
-    @property
-    def num_actions(self) -> int:
-        """D: 1, or 2 with the longitudinal acceleration."""
-        return 1 if self.longitudinal is None else 2
-
 
 FeatureName = Literal[
     "speed",
@@ -106,7 +101,7 @@ class Observation(Section):
 class Reward(Section):
     """Eq. 10, Eq. 11, Eq. 12 and the failure penalty."""
 
-    acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
+    yaw_acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
     yaw_rate_weight: NonNegative = Field(0.5, description="w_rate [1/(rad/s)], >= 0")
     deviation_weight: NonNegative = Field(0.05, description="w_dev [1], >= 0")
     average_deviation: Positive = Field(1.875, description="d_avg [m], > 0")

@@ -119,7 +119,7 @@ def test_a_partial_reset_leaves_the_other_roads_alone():
     after = env.reset(asked)
     assert [road_bytes(env, road) == before[road] for road in range(3)] == [True, False, True]
     kept = torch.tensor([0, 2])
-    for key in ("observation", "mask", "engaged", "episode_reward", "outcome"):
+    for key in ("observation", "mask", "steering", "episode_reward", "outcome"):
         assert torch.equal(after["changers", key][kept], last["changers", key][kept])
     assert env.simulator.roads["step"].tolist() == [60, 0, 60]
     assert not after["changers", "outcome"][1].any()
@@ -173,7 +173,7 @@ def test_absent_slots_are_zero_and_the_ended_keep_their_last_features(busy):
     assert not after["observation"][~is_there].any()
     # Speeds are never 0 on this road: a live agent sees something.
     assert (after["observation"][is_there][:, 0] > 0.0).all()
-    for key in ("engaged", "outcome"):
+    for key in ("steering", "outcome"):
         assert not group[key][~mask & ~(group["outcome"] > 0)].any()
         assert not after[key][~is_there].any()
     assert not after["reward"][~mask].any()
@@ -182,7 +182,7 @@ def test_absent_slots_are_zero_and_the_ended_keep_their_last_features(busy):
 
 
 def test_only_steering_agents_are_rewarded(busy):
-    engaged, mask = busy["changers", "engaged"], busy["changers", "mask"]
+    engaged, mask = busy["changers", "steering"], busy["changers", "mask"]
     reward = busy["next", "changers", "reward"].squeeze(-1)
     outcome = busy["next", "changers", "outcome"]
     assert (engaged <= mask).all()
@@ -224,7 +224,7 @@ def test_a_missed_command_is_truncated():
     assert after["outcome"][ends].tolist() == [Outcome.MISSED] * 2
     assert after["truncated"][ends].all()
     assert not after["terminated"].any()
-    assert not steps["changers", "engaged"].any()
+    assert not steps["changers", "steering"].any()
     # The road's episode is over because its commands are.
     assert bool(steps["next", "terminated"][0, -1])
     assert not steps["next", "truncated"].any()
@@ -330,7 +330,7 @@ def test_a_copy_goes_on_by_itself(duplicate):
     ahead = go_on(twin)
     assert env.simulator.state.tobytes() == frozen
     assert_equal(ahead, go_on(env))
-    assert ahead["next", "changers", "engaged"].any()
+    assert ahead["next", "changers", "steering"].any()
 
 
 def test_what_cannot_be_is_refused():
@@ -356,7 +356,7 @@ def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
     twin.reset()
     steering = torch.zeros(1, 3, 1, dtype=torch.bool)
     while not steering.any() or steering.all():
-        steering = step(env, torch.zeros(1, 3, 1))["changers", "engaged"].unsqueeze(-1)
+        steering = step(env, torch.zeros(1, 3, 1))["changers", "steering"].unsqueeze(-1)
         step(twin, torch.zeros(1, 3, 1))
     after = step(env, torch.where(steering, 9.0, float("nan")))
     assert_equal(after, step(twin, torch.where(steering, 0.5, -0.5)))
@@ -380,8 +380,9 @@ def test_torchrl_checks_the_types_where_it_is_asked_to(monkeypatch):
     read_out = env._read_out
 
     def read_out_wrongly():
-        columns = read_out()
-        return columns._replace(reward=columns.reward.astype("f8"))
+        groups = read_out()
+        groups["changers"]["reward"] = groups["changers"]["reward"].astype("f8")
+        return groups
 
     monkeypatch.setattr(env, "_read_out", read_out_wrongly)
     with pytest.raises(TypeError, match="dtype"):

@@ -26,7 +26,7 @@ with warnings.catch_warnings():
 torch.set_num_threads(1)
 
 BUSY = {"departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
-TERMS = ("reward_acceleration", "reward_yaw_rate", "reward_deviation", "reward_failure")
+TERMS = ("reward_yaw_acceleration", "reward_yaw_rate", "reward_deviation", "reward_failure")
 TERMS += ("reward_delay", "reward_longitudinal")
 TERMINATING = {Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD}
 LONG = 100_000
@@ -267,7 +267,7 @@ def test_actions_are_clipped_and_those_of_others_ignored():
     strays = {"changer_9": np.full(3, np.nan), "nobody": None}
     clipped = twin.step({agent: [0.5]})
     assert repr(road.step({agent: [1e30], **strays})) == repr(clipped)
-    assert clipped[4][agent]["reward_acceleration"] == -1.0
+    assert clipped[4][agent]["reward_yaw_acceleration"] == -1.0
 
 
 @pytest.mark.parametrize("scenario", list_scenarios())

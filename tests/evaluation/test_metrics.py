@@ -23,13 +23,13 @@ def measured(count=3, outcome=Outcome.MISSED, changes=None, **columns):
 
 def test_returns_are_sums_of_the_terms():
     found = measured(
-        reward_acceleration=[-1.0, -0.5, 0.0],
+        reward_yaw_acceleration=[-1.0, -0.5, 0.0],
         reward_yaw_rate=[-0.25, 0.0, -0.25],
         reward_deviation=[-0.125, -0.125, -0.0625],
     )
-    assert found.return_acceleration == -1.5
-    assert found.return_yaw_rate == -0.5
-    assert found.return_deviation == -0.3125
+    assert found.returns["yaw_acceleration"] == -1.5
+    assert found.returns["yaw_rate"] == -0.5
+    assert found.returns["deviation"] == -0.3125
     assert found.return_ == -2.3125
     assert found.num_steps == 3
     assert found.duration == pytest.approx(0.3)
@@ -148,7 +148,7 @@ def sample():
     """One completed maneuver, one that collided, one that never engaged."""
     completed = trace(
         30,
-        reward_acceleration=-0.1,
+        reward_yaw_acceleration=-0.1,
         reward_yaw_rate=-0.02,
         follower_acceleration=-0.5,
         acceleration=-0.25,
@@ -181,7 +181,7 @@ def test_the_summary_counts_and_averages():
     assert found["abort_or_miss_rate"] == 0.75
     assert found["mean_episode_reward"] == -3.5
     assert found["mean_return"] == pytest.approx(-3.6)
-    assert found["mean_return_acceleration"] == pytest.approx(-3.0)
+    assert found["mean_return_yaw_acceleration"] == pytest.approx(-3.0)
     assert found["mean_return_yaw_rate"] == pytest.approx(-0.6)
     assert found["mean_return_deviation"] == 0.0
     assert found["mean_return_all"] == pytest.approx((-3.6 - 1.0) / 4)

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from marl_lanes.evaluation import optimum as module
+from marl_lanes.evaluation.measures import STEERING_COSTS
 from marl_lanes.evaluation.optimum import Optimum, optimal_lane_change
 from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE, Replay
 from marl_lanes.evaluation.simplex import minimise
@@ -15,6 +16,7 @@ from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.traffic.road.geometry import curvature_at
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import Simulator
 
 TIME_STEP = 0.1
@@ -209,7 +211,7 @@ def alone_and_engaged(speed, desired, arcs, seed):
     }
     simulator = Simulator(scenario_of(arcs=arcs, **fixed), seed=seed)
     simulator.reset()
-    while not simulator.is_engaged.any():
+    while not simulator.is_steering.any():
         simulator.step()
     return simulator
 
@@ -217,12 +219,12 @@ def alone_and_engaged(speed, desired, arcs, seed):
 def drive(simulator, actions):
     """Sum of rewards, steps and outcome of the actions, then of zeros."""
     total, given = 0.0, np.zeros((1, simulator.num_slots, 1))
-    slot = int(np.argmax(simulator.is_engaged[0]))
+    slot = int(np.argmax(simulator.is_steering[0]))
     for step in range(400):
         given[:] = actions[step] if step < len(actions) else 0.0
         simulator.step(given)
         agent = simulator.agents[0, slot]
-        total += sum(agent[f"reward_{x}"] for x in ("acceleration", "yaw_rate", "deviation"))
+        total += sum(CHANGER.terms_of(agent)[f"reward_{x}"] for x in STEERING_COSTS)
         if agent["outcome"] != Outcome.UNFINISHED:
             return total, step + 1, Outcome(int(agent["outcome"]))
     raise AssertionError("the command does not end")
@@ -239,7 +241,7 @@ def test_the_actions_complete_in_the_simulator_at_the_cost_that_is_claimed(
     road, initial, desired, seed
 ):
     simulator = alone_and_engaged(initial, desired, ROADS[road], seed)
-    agent = simulator.agents[0][simulator.is_engaged[0]][0]
+    agent = simulator.agents[0][simulator.is_steering[0]][0]
     car = simulator.vehicles[0, agent["vehicle"]]
     sign, centre = int(agent["direction"]), (agent["target_lane"] + 0.5) * LANE_WIDTH
     start = {
@@ -408,12 +410,12 @@ def test_inside_a_wide_curve_the_change_costs_about_what_the_straight_does():
 
 def test_each_weight_scales_its_own_term():
     speed = np.full(40, 20.0)
-    weights = {"acceleration_weight": 4.0, "yaw_rate_weight": 1.0, "deviation_weight": 0.1}
+    weights = {"yaw_acceleration_weight": 4.0, "yaw_rate_weight": 1.0, "deviation_weight": 0.1}
     base = lane_change(speed, PASSING).total_return
     doubled = lane_change(speed, PASSING, reward=weights)
     assert doubled.total_return == pytest.approx(2.0 * base)
     # What is left is the deviation, and the fastest change under the action's bound.
-    weights |= {"acceleration_weight": 0.0, "yaw_rate_weight": 0.0}
+    weights |= {"yaw_acceleration_weight": 0.0, "yaw_rate_weight": 0.0}
     fastest = lane_change(speed, PASSING, reward=weights)
     scenario = scenario_of(PASSING)
     start = {"deviation": LANE_WIDTH, "yaw_rate": 0.0, "direction": 1}

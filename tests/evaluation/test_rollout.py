@@ -126,7 +126,7 @@ def test_columns_before_a_step_are_those_after_the_last(driven):
     assert rows["yaw_rate"] == pytest.approx(rates)
     deviation = -0.05 * np.abs(rows["lateral_deviation"]) / 1.875
     assert rows["reward_deviation"] == pytest.approx(deviation)
-    assert rows["reward_acceleration"] == pytest.approx(-2.0 * np.abs(rows["yaw_acceleration"]))
+    assert rows["reward_yaw_acceleration"] == pytest.approx(-2.0 * np.abs(rows["yaw_acceleration"]))
 
 
 def test_what_is_recorded_of_the_vehicle_and_of_its_follower(driven):

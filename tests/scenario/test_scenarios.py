@@ -12,7 +12,7 @@ from staging import damped_actions
 from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
 from marl_lanes.scenario import followers as followers_module
 from marl_lanes.scenario import schema as schema_module
-from marl_lanes.traffic.roles.observation import FEATURES
+from marl_lanes.traffic.roles.changer import FEATURES
 from marl_lanes.traffic.simulator import Simulator
 
 UNITS = {"m", "m/s or 'x km/h'", "m/s", "m/s^2", "rad/s", "rad/s^2", "s", "1", "count", "section"}
@@ -99,7 +99,7 @@ def test_the_defaults_are_the_papers_numbers():
     assert paper.departures.desired_speed == pytest.approx((80.0 / 3.6, 120.0 / 3.6))
     assert paper.command.probability == pytest.approx(1.0 / 3.0)
     reward = paper.reward
-    weights = (reward.acceleration_weight, reward.yaw_rate_weight, reward.deviation_weight)
+    weights = (reward.yaw_acceleration_weight, reward.yaw_rate_weight, reward.deviation_weight)
     assert weights == (2.0, 0.5, 0.05)
     assert reward.average_deviation == paper.road.lane_width / 2.0
 

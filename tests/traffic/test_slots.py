@@ -59,7 +59,7 @@ def story(simulator):
             continue
         behind = state.followers[0, slot]
         for row in (agent, behind):
-            named = {name: row[name] for name in row.dtype.names}
+            named = {name: row[name].tolist() for name in row.dtype.names}
             named |= {name: ids[row[name]] for name in VEHICLE_INDICES if name in named}
             kind = len(named)
             told |= {(kind, agent["command"], name): value for name, value in named.items()}

@@ -83,6 +83,15 @@ def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
     return cast("Function", kernel.get_overload(signature))
 
 
+def on_columns(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """The kernel's own source, for whole columns of a table at once, by numpy.
+
+    It must have no branch and call no other kernel. A table's fields are attributes in
+    ``table.view(numpy.recarray)``.
+    """
+    return cast("Callable[..., Any]", getattr(kernel, "py_func", kernel))
+
+
 def _type_of(argument: Any) -> Any:
     """Numba's type; of an array, which must be contiguous, without the import of ``numpy.ma``."""
     if not isinstance(argument, np.ndarray):

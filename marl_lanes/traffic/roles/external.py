@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
-from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
+from marl_lanes.traffic.roles.follower import FOLLOWER
 
-FOLLOWER_COLUMNS = {feature.name: column for column, feature in enumerate(FOLLOWER_FEATURES)}
+FOLLOWER_COLUMNS = {feature.name: column for column, feature in enumerate(FOLLOWER.features)}
 """Column of each feature in a follower's observation."""
 
 

@@ -1,3 +1,4 @@
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -6,7 +7,9 @@ import numba
 import pytest
 
 import marl_lanes
-from marl_lanes.traffic import compiled, followers, step
+from marl_lanes.traffic import step
+from marl_lanes.traffic.driving import acceleration
+from marl_lanes.traffic.machine import compiled
 
 PACKAGE = Path(marl_lanes.__file__).parent
 
@@ -22,7 +25,7 @@ def _compilation():
 @needs_compilation
 def test_an_internal_kernel_refuses_a_call_from_python():
     with pytest.raises(TypeError, match=r"accelerate\(\) can be called by other kernels only"):
-        followers.accelerate()
+        acceleration.accelerate()
 
 
 @needs_compilation
@@ -37,14 +40,14 @@ def test_the_digest_changes_with_any_source(tmp_path):
         "module = importlib.util.module_from_spec(spec); spec.loader.exec_module(module)\n"
         "print(module._SOURCES)"
     )
-    for source in (PACKAGE / "traffic").glob("*.py"):
-        (tmp_path / source.name).write_bytes(source.read_bytes())
+    copied = tmp_path / "traffic"
+    shutil.copytree(PACKAGE / "traffic", copied, ignore=shutil.ignore_patterns("__pycache__"))
 
     def digest():
-        command = [sys.executable, "-c", program, str(tmp_path / "compiled.py")]
+        command = [sys.executable, "-c", program, str(copied / "machine" / "compiled.py")]
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
     assert digest() == compiled._SOURCES
-    with (tmp_path / "followers.py").open("a") as file:
+    with (copied / "road" / "motion.py").open("a") as file:
         file.write("\n")
     assert digest() != compiled._SOURCES

@@ -11,6 +11,7 @@ from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.road.geometry import curvature_at, road_turn_rate
 from marl_lanes.traffic.road.lane_keeping import keep_lane
 from marl_lanes.traffic.road.motion import integrate
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import Simulator
 
 NO_COMMANDS = {"command": {"probability": 0.0}}
@@ -137,7 +138,7 @@ def test_car_following_asks_of_a_standing_driver_to_stand():
     column = list(simulator.scenario.observation.features).index("car_following_acceleration")
     assert simulator.agents[0, agent]["car_following"] == 0.0
     assert simulator.state.observations[0, agent, column] == 0.0
-    assert simulator.agents[0, agent]["reward_longitudinal"] == 0.0
+    assert CHANGER.terms_of(simulator.agents[0, agent])["reward_longitudinal"] == 0.0
 
 
 @pytest.mark.parametrize("radius", [150.0, -150.0, 1e9])
