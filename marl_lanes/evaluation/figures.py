@@ -1,4 +1,4 @@
-"""The report's figures, the paper's Figures 6 to 8 for a run, and those of the comparisons."""
+"""Figures of a run (the paper's Figure 6, Figure 7 and Figure 8) and of the comparisons."""
 
 import csv
 import os

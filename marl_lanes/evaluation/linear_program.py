@@ -28,7 +28,7 @@ class Program:
         response: (3, M, M), lower triangles.
         bounds: (3,), on what is known after the last step; infinite for no bound.
         max_yaw_acceleration: bound on the actions [rad/s^2].
-        reward: its three weights of Eq. 10-12.
+        reward: its three weights (Eq. 10, Eq. 11, Eq. 12).
     """
 
     free: FloatArray

@@ -103,7 +103,7 @@ def optimal_lane_change(
             duration tried, up to MAX_EXTENSION beyond the recorded one, leads to completion.
         RuntimeError: the solver failed, or linearising did not converge.
 
-    Source: the cost is paper eq. 10-13.
+    Source: the cost is Eq. 10, Eq. 11, Eq. 12 and Eq. 13 of the paper.
     """
     numbers = {"deviation": deviation, "yaw": yaw, "yaw_rate": yaw_rate, "position": position}
     for name, value in (numbers | {"lateral_position": lateral_position}).items():

@@ -76,7 +76,7 @@ def replay_of(scenario: Scenario, speed: np.ndarray, start: dict) -> Replay:
 
 
 def cost_until_completed(scenario: Scenario, actions: np.ndarray, known: np.ndarray) -> float:
-    """The sum of eq. 10-12 until the first step at which the change is complete, else infinity."""
+    """Sum of Eq. 10, Eq. 11 and Eq. 12 until the change is first complete; else infinity."""
     rule = scenario.completion
     is_there = np.abs(known[DEVIATION]) <= rule.max_deviation
     is_there &= np.abs(known[LATERAL_SPEED]) <= (rule.max_lateral_speed or math.inf)
