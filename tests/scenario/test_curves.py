@@ -127,5 +127,5 @@ def test_a_driver_who_speeds_up_for_a_gap_takes_the_curve_faster():
     }
     road["drivers"]["mix"] = {"racer": 1.0}
     assert load_scenario("paper", road | {"gap": {"speed_factor": 1.0}})
-    with pytest.raises(ScenarioError, match=r"is carried off by 0\.9\d* m"):
+    with pytest.raises(ScenarioError, match=r"deviates by 0\.9\d* m"):
         load_scenario("paper", road | {"gap": {"speed_factor": 1.1}})
