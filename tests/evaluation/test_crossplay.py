@@ -162,8 +162,8 @@ def test_progress_rises_over_all_pairs():
     ("given", "followers", "number", "message"),
     [
         ({"x": (BUSY, never)}, FOLLOWERS, 0, "num_maneuvers = 0: must be at least 1"),
-        ({}, FOLLOWERS, 1, "changers: must hold at least one"),
-        ({"x": (BUSY, never)}, {}, 1, "followers: must hold at least one"),
+        ({}, FOLLOWERS, 1, "changers: must have at least one entry"),
+        ({"x": (BUSY, never)}, {}, 1, "followers: must have at least one entry"),
         ({"x": (BUSY, never)}, {**FOLLOWERS, "y": {"mix": {"unknown": 1.0}}}, 1, "unknown"),
         ({"x": (BUSY, never)}, {**FOLLOWERS, "y": {"mixture": {}}}, 1, "followers.mixture"),
         (

@@ -109,7 +109,7 @@ def test_what_is_shown_is_the_same_until_it_engages(staged):
     assert staged(1)["maneuver"] == 1
     # Another gap, another vehicle, another step, no engagement.
     for other in (0, 2, 3, 5):
-        with pytest.raises(ValueError, match=rf"maneuver = {other}: must .*, as do 1, 4$"):
+        with pytest.raises(ValueError, match=rf"maneuver = {other}: must .* that do: 1, 4$"):
             staged(other)
     kind, rude = (staged()["followers"][name]["shown"] for name in ("kind", "rude"))
     assert kind["gap"] == [25.0, 30.0, 31.0, 32.0]
@@ -210,7 +210,7 @@ def test_a_maneuver_that_differs_before_it_engages_is_refused():
     assert len(refused) == 1
     for index, message in refused.items():
         assert message.startswith(f"maneuver = {index}: must engage with a vehicle behind")
-        assert " as do " in message
+        assert "; maneuvers that do: " in message
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_a_maneuver_that_differs_before_it_engages_is_refused():
         ((FOLLOWERS, 0), {}, "num_maneuvers = 0: must be at least 1"),
         ((FOLLOWERS, 5), {"maneuver": 5}, "maneuver = 5: must be 0 to 4"),
         ((FOLLOWERS, 5), {"maneuver": -1}, "maneuver = -1: must be 0 to 4"),
-        (({}, 5), {}, "followers: must hold at least one"),
+        (({}, 5), {}, "followers: must have at least one entry"),
         (({"x": {"mix": {"unknown": 1.0}}}, 5), {}, "unknown"),
     ],
 )

@@ -75,7 +75,7 @@ def test_a_steering_policy_names_the_feature_that_it_lacks(missing, name):
     features = [feature for feature in FEATURES if feature != missing]
     other = load_scenario("paper", {"observation": {"features": features}})
     makers = {"lane-keeping": make_lane_keeping_policy, "tuned-cascade": make_tuned_cascade_policy}
-    with pytest.raises(ScenarioError, match=rf"'paper'.*must hold \['{missing}'\] .*{name}"):
+    with pytest.raises(ScenarioError, match=rf"'paper'.*must contain \['{missing}'\] .*{name}"):
         makers[name](other)
 
 
@@ -151,7 +151,7 @@ def test_lane_keeping_with_two_actions_drives_like_lane_keeping():
 
 def test_lane_keeping_with_two_actions_needs_the_feature():
     other = load_scenario("paper", {"action": {"longitudinal": {}}})
-    with pytest.raises(ScenarioError, match=r"must hold \['car_following_acceleration'\]"):
+    with pytest.raises(ScenarioError, match=r"must contain \['car_following_acceleration'\]"):
         make_lane_keeping_policy(other)
 
 

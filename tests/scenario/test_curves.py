@@ -112,7 +112,7 @@ def test_profiles_that_nobody_drives_refuse_nothing():
     road = {"arcs": s_curve(-180.0, 0.0)}
     profiles = {"racer": {"comfortable_lateral_acceleration": 4.0}}
     assert load_scenario("paper", {"road": road, "drivers": {"profiles": profiles}})
-    with pytest.raises(ScenarioError, match="a driver 'racer' of comfortable_lateral_acceleration"):
+    with pytest.raises(ScenarioError, match="profile 'racer' of comfortable_lateral_acceleration"):
         load_scenario(
             "paper", {"road": road, "drivers": {"profiles": profiles, "mix": {"racer": 1.0}}}
         )
