@@ -54,7 +54,7 @@ def test_a_crossplay_shows_success_first():
 
 
 def result(changers, followers):
-    """Every rate has the number of its pair in percent."""
+    """Every rate is the number of its pair in percent."""
     pairs = [
         {
             "changer": changer,
@@ -97,7 +97,7 @@ def test_a_crossplay():
         assert row.split()[0] == "two"
         if factor == 100.0:
             assert row.split()[1:] == ["2.0", "[0.0,", "50.0]", "3.0", "[0.0,", "50.0]"]
-    # Columns stand below their titles.
+    # Columns are aligned with their titles.
     assert all(row[head.index("rude") - 1] == " " != row[head.index("rude")] for row in rows)
 
 

@@ -1,4 +1,4 @@
-"""Roads whose curves cannot be driven are refused, those that are accepted are driven."""
+"""Roads with undrivable curves are rejected; on accepted roads vehicles keep their lanes."""
 
 import numpy as np
 import pytest
@@ -119,7 +119,7 @@ def test_profiles_that_nobody_drives_refuse_nothing():
 
 
 def test_a_driver_who_speeds_up_for_a_gap_takes_the_curve_faster():
-    """On a wide curve nothing but the top speed, here 43.3 m/s times the factor, is a bound."""
+    """On a wide curve only the top speed limits the speed, here 43.3 m/s times the factor."""
     road = {
         "road": {"arcs": [{"start": 250.0, "end": 700.0, "radius": -670.0, "transition": 0.0}]},
         "drivers": {"profiles": {"racer": {"comfortable_lateral_acceleration": 4.0}}},
