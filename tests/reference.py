@@ -678,7 +678,7 @@ class Road:
         return Outcome.UNFINISHED
 
     def judge(self, agent):
-        """Eq. 10-12 and the failure penalty; the end of the command."""
+        """Eq. 10, Eq. 11, Eq. 12 and the failure penalty; the end of the command."""
         weights, car, outcome = self.scenario.reward, agent.car, self.outcome(agent)
         has_failed = outcome in (Outcome.COLLISION, Outcome.OFF_ROAD)
         agent.terms = dict.fromkeys(("yaw_acceleration", "yaw_rate", "deviation"), 0.0)

@@ -1,4 +1,4 @@
-"""The documentation against the code: links, examples, and every name that it must hold."""
+"""The documentation compared with the code: links, examples, and all required names."""
 
 import dataclasses
 import re
@@ -38,13 +38,13 @@ def with_blocks():
 
 
 def names(page):
-    """What stands in backticks in the first column of the page's tables."""
+    """The words in backticks in the first column of the page's tables."""
     rows = re.findall(r"^\|([^|]*)\|", text_of(page), re.MULTILINE)
     return [re.findall(r"`([^`]+)`", row) for row in rows if "`" in row]
 
 
 def scenario_fields(kind=Scenario, prefix=""):
-    """Dotted names of the schema: [] for what lists hold, * for what maps hold."""
+    """Dotted names of the schema: [] for entries of lists, * for entries of maps."""
     for name, field in kind.model_fields.items():
         inner = field.annotation
         origin, arguments = typing.get_origin(inner), typing.get_args(inner)
@@ -133,7 +133,7 @@ def test_every_metric_is_documented():
 
 
 def lane_change():
-    """Metrics of one maneuver, of which only the names matter."""
+    """Metrics of one maneuver; only their names are used."""
     from marl_lanes.evaluation.measures import AftermathMetrics, ManeuverMetrics
     from marl_lanes.evaluation.safety import SafetyMetrics
     from marl_lanes.traffic.machine.state import Outcome

@@ -42,31 +42,32 @@ def _timed(method: Callable[..., TensorDict]) -> Callable[..., TensorDict]:
 class LaneChangeEnv(EnvBase):
     """Lane changes on E roads as a TorchRL environment with batch size [E].
 
-    The group ``changers`` has the scenario's ``num_slots`` slots A, which commands take and leave:
+    The group ``changers`` has A = ``num_slots`` slots; a command occupies a slot until it ends:
 
-    - ``observation`` (E, A, F) float32: the scenario's features; zeros in an absent slot, the last
-      features in ``next`` of an agent that just ended.
-    - ``action`` (E, A, D) float32: yaw acceleration [rad/s^2] in the maneuver frame and, where the
-      scenario has it, longitudinal acceleration [m/s^2]; used where ``acting``, clipped.
-    - ``mask`` (E, A) bool: live; at time t it says whose transition is valid.
+    - ``observation`` (E, A, F) float32: the scenario's features; zeros in an absent slot; the last
+      features in ``next`` of an agent that has just ended.
+    - ``action`` (E, A, D) float32: yaw acceleration [rad/s^2] in the maneuver frame and, if the
+      scenario has a second action, longitudinal acceleration [m/s^2]; used where ``acting``,
+      clipped.
+    - ``mask`` (E, A) bool: the agent is live; at time t, its transition is valid.
     - ``steering`` (E, A) bool: the agent steers, engaged or aborting.
-    - ``aborting`` (E, A) bool: of these, who steers back to the lane that it came from.
-    - ``acting`` (E, A) bool: its action has an effect: where ``steering``, or live where D is 2.
-    - ``reward`` (E, A, 1) float32, ``episode_reward`` (E, A, 1): its sum since the command.
-    - ``outcome`` (E, A) int64: ``traffic.state.Outcome``; set in the step that ends a command.
-    - ``done``, ``terminated``, ``truncated`` (E, A, 1) bool: pulses at an agent's end. Completed,
-      collision and off-road terminate; missed and the horizon truncate.
+    - ``aborting`` (E, A) bool: the agent steers back to its origin lane.
+    - ``acting`` (E, A) bool: the action has an effect: ``steering`` if D is 1, ``mask`` if D is 2.
+    - ``reward`` (E, A, 1) float32; ``episode_reward`` (E, A, 1): its sum since the command.
+    - ``outcome`` (E, A) int64: an ``Outcome``; set in the step that ends a command.
+    - ``done``, ``terminated``, ``truncated`` (E, A, 1) bool: True only in the step in which the
+      agent ends. Completed, collision and off_road terminate; missed and horizon truncate.
 
     With ``learned_followers`` there is the group ``followers``: slot k is the driver behind the
-    changer of slot k in its target lane, live (``mask``) as long as the changer, ``acting`` while
-    it is paired: the changer is engaged. Its ``observation`` (E, A, G) has the columns
-    FOLLOWER_FEATURES, its ``action`` (E, A, 1) is the longitudinal acceleration [m/s^2]; the other
-    keys are as above, its end is the command's.
+    changer of slot k in its target lane. It is live (``mask``) as long as the changer, and
+    ``acting`` while it is paired and the changer engaged. Its ``observation`` (E, A, G) has the
+    columns FOLLOWER_FEATURES, its ``action`` (E, A, 1) is the longitudinal acceleration [m/s^2].
+    The other keys are as above; it ends with the command.
 
-    The root's ``done`` (E, 1) says that a road's episode is over: all of the scenario's
-    ``num_agents`` commands are finished (terminated), or its horizon is reached (truncated). With
-    ``num_agents: null`` and ``horizon: null`` it never is. The same scenario, seed and actions give
-    on road 0 the trajectory of the PettingZoo environment.
+    The root's ``done`` (E, 1) is the end of a road's episode: all ``num_agents`` commands of the
+    scenario are finished (terminated), or the horizon is reached (truncated). With
+    ``num_agents: null`` and ``horizon: null`` an episode never ends. With the same scenario, seed
+    and actions, road 0 has the same trajectory as the PettingZoo environment.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
@@ -75,16 +76,17 @@ class LaneChangeEnv(EnvBase):
         seed: of the random numbers.
         num_threads: as for ``Simulator``.
         overrides: scenario fields to replace, as in ``load_scenario``.
-        learned_followers: add the group ``followers``, of the drivers whose disposition is
-            ``learned``, or of all where the mix has none of these.
-        follower_policies: policies by their name in ``followers.mix``, before registered ones.
-        first_road: index of the first road among the seed's, as for ``Simulator``.
+        learned_followers: add the group ``followers`` for the drivers with the disposition
+            ``learned``, or for all drivers if the mix has no ``learned``.
+        follower_policies: policies by their name in ``followers.mix``; they have priority over
+            registered ones.
+        first_road: index of the first road within the seed's roads, as for ``Simulator``.
 
     Attributes:
-        seconds: wall time so far in its own steps and resets, without TorchRL's work around them.
+        seconds: wall time of its steps and resets so far, without TorchRL's work around them.
 
     Raises:
-        ScenarioError: the scenario cannot be, or a follower of its mix has no policy.
+        ScenarioError: the scenario is invalid, or a follower of its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
         ValueError: another argument is out of range.
     """
@@ -127,13 +129,13 @@ class LaneChangeEnv(EnvBase):
         self._make_specs()
 
     def restore(self, snapshot: bytes) -> None:
-        """Go on from ``simulator.snapshot()`` of an equal environment.
+        """Continue from ``simulator.snapshot()`` of an equal environment.
 
-        Resets return the restored state until the first step. A collector looks at its environment
+        Until the first step, a reset returns the restored state. A collector reads its environment
         when it is built: call its ``reset`` after this.
 
         Raises:
-            ValueError: the snapshot is of another size; nothing is changed.
+            ValueError: the snapshot has another size; nothing is changed.
         """
         self.simulator.restore(snapshot)
         self._is_restored = True
@@ -225,9 +227,9 @@ class LaneChangeEnv(EnvBase):
         )
 
     def _step_proc_data(self, next_tensordict_out: TensorDictBase) -> TensorDictBase:
-        """What ``_step`` returned: every key of the specs is there, with its shape and dtype.
+        """The result of ``_step``, which has every key of the specs with its shape and dtype.
 
-        TorchRL's own looks for missing ones at every step.
+        TorchRL's method checks for missing keys at every step.
         """
         if self.run_type_checks:
             return super()._step_proc_data(next_tensordict_out)
@@ -250,7 +252,7 @@ class LaneChangeEnv(EnvBase):
     def _make_tensordict(
         self, groups: Mapping[str, Mapping[str, NDArray[Any]]], **root: NDArray[np.bool_]
     ) -> TensorDict:
-        # The shapes are known to fit: checking each takes longer than making it.
+        # The shapes are known to be right; checking them takes longer than making the tensors.
         shape = torch.Size(self.simulator.agents.shape)
         device = self.device
         is_elsewhere = device is not None and device.type != "cpu"

@@ -1,4 +1,4 @@
-"""The PettingZoo environment: one road, an agent for every commanded vehicle."""
+"""The PettingZoo environment: one road, one agent per commanded vehicle."""
 
 import math
 from collections.abc import Mapping
@@ -28,8 +28,8 @@ STATE_COLUMNS = (
     "yaw_rate",
     "agent",
 )
-"""Columns of ``state()``: fields of the vehicle table; ``agent`` is the serial number of its
-command, -1 without one."""
+"""Columns of ``state()``: fields of the vehicle table; ``agent`` is the serial number of the
+vehicle's command, -1 if it has none."""
 
 _TRUNCATING = {int(outcome) for outcome in Outcome if truncates(outcome)}
 
@@ -45,7 +45,7 @@ _UNFINISHED = int(Outcome.UNFINISHED)
 
 
 class Options(TypedDict, total=False):
-    """The keyword arguments of ``LaneChangeParallelEnv``, where they are explained."""
+    """The keyword arguments of ``LaneChangeParallelEnv``, which documents them."""
 
     seed: int
     fixed_agents: bool
@@ -66,37 +66,38 @@ Step = tuple[
 class LaneChangeParallelEnv(ParallelEnv):
     """Lane changes as a PettingZoo parallel environment.
 
-    An episode is the scenario's ``num_agents`` commands, all born and finished, or its horizon.
-    ``changer_k`` is the vehicle of the k-th command, from the command to its outcome; each name is
-    used once an episode. Reset and step run the traffic on until an agent is live, so ``agents`` is
-    empty only when the episode is over.
+    An episode ends when the ``num_agents`` commands of the scenario are finished, or at its
+    horizon. ``changer_k`` is the vehicle of the k-th command, from the command to its outcome; each
+    name is used once per episode. While no agent is live, reset and step advance the traffic, so
+    ``agents`` is empty only at the end of the episode.
 
     Observation: the scenario's features in its order, (F,) float32, SI units, in the maneuver frame
     (positive toward the target lane). Action: yaw acceleration, (1,) float32 [rad/s^2], used while
     the agent is engaged or aborting, clipped to the bound; with ``action.longitudinal`` (2,), the
-    second the longitudinal acceleration [m/s^2], used while it is live. Completed, collision and
-    off-road terminate; a missed command (the road ends) and the horizon truncate. Infos: phase,
-    outcome (codes of ``traffic.state``), num_aborts and the reward's terms, as floats.
+    second the longitudinal acceleration [m/s^2], used while the agent is live. Completed, collision
+    and off_road terminate; missed (the road ends) and horizon truncate. Infos: phase, outcome
+    (codes of ``Outcome``), num_aborts and the reward terms, as floats.
 
     With ``learned_followers``, ``follower_k`` is the driver behind changer_k in its target lane,
     live as long as changer_k. Its action, the longitudinal acceleration (1,) [m/s^2], is used while
     the two are paired: changer_k is engaged and such a driver exists (``is_paired`` in its info).
-    Observation: FOLLOWER_FEATURES, (G,) float32, zeros where nobody is behind.
+    Observation: FOLLOWER_FEATURES, (G,) float32, zeros if no vehicle is behind.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
-        render_mode: None, the only one.
-        seed: of the random numbers until ``reset(seed=...)`` gives another; without one, resets
-            go on in the same stream.
-        fixed_agents: every dict holds every possible agent, those absent with zeros, as TorchRL's
-            PettingZooWrapper needs it; ``agents`` still lists the live ones.
+        render_mode: must be None.
+        seed: of the random numbers, until ``reset(seed=...)`` sets another; a reset without a seed
+            continues the stream.
+        fixed_agents: every dict contains all possible agents, absent ones with zeros, as TorchRL's
+            PettingZooWrapper needs it; ``agents`` still lists only the live ones.
         overrides: scenario fields to replace, as in ``load_scenario``.
-        learned_followers: followers are agents too: those whose disposition is ``learned``, or all
-            where the mix has none of these.
-        follower_policies: policies by their name in ``followers.mix``, before registered ones.
+        learned_followers: followers are agents, too: the drivers with the disposition ``learned``,
+            or all drivers if the mix has no ``learned``.
+        follower_policies: policies by their name in ``followers.mix``; they have priority over
+            registered ones.
 
     Raises:
-        ScenarioError: the scenario cannot be, has no end (``num_agents: null``), or a follower of
+        ScenarioError: the scenario is invalid, has no end (``num_agents: null``), or a follower of
             its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
         ValueError: another argument is out of range.
@@ -162,7 +163,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         self._view()
 
     def _view(self) -> None:
-        """Views of the road: taking them at every step would be a good part of its time."""
+        """Keep views of the road's arrays: making them at every step would be slow."""
         state = self.simulator.state
         table = state.agents[0]
         self._seen, self._is_done = state.observations[0], state.roads["is_done"]
@@ -172,7 +173,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         self._told += [table["terms"][:, index] for index in range(len(CHANGER.terms))]
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # A copy's views must be of its own road.
+        # The views of a copy must belong to its own road.
         self.__dict__.update(state)
         self._view()
 
@@ -189,10 +190,10 @@ class LaneChangeParallelEnv(ParallelEnv):
         seed: int | None = None,
         options: Mapping[str, Any] | None = None,  # noqa: ARG002 - PettingZoo passes it
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, float]]]:
-        """Start an episode on traffic that has run its warm-up, at its first command.
+        """Start an episode: warm up the traffic and advance to the first command.
 
         Args:
-            seed: 0 to 2^64 - 1; None goes on in the stream of the last one.
+            seed: 0 to 2^64 - 1; None continues the stream of the last seed.
             options: not used.
         """
         if seed is not None:
@@ -206,14 +207,14 @@ class LaneChangeParallelEnv(ParallelEnv):
         return result[0], result[4]
 
     def step(self, actions: Mapping[str, Any]) -> Step:
-        """Advance one time step, and on until an agent is live or the episode is over.
+        """Advance one time step, and further until an agent is live or the episode is over.
 
         Args:
-            actions: (D,) or, for followers, (1,) for every live agent; those of others are not
-                used.
+            actions: for every live agent, (D,) for a changer, (1,) for a follower; actions of
+                other agents are ignored.
 
         Raises:
-            ValueError: a live agent's action is missing, misshapen or not finite.
+            ValueError: the action of a live agent is missing, not finite, or has a wrong shape.
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
@@ -227,7 +228,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         result = self._absent()
         self._collect(result)
         if not self.agents and not self._is_done[0]:
-            # The agents that just ended stay in the dicts; newborn ones join them.
+            # The agents that have just ended stay in the dicts; new ones are added.
             self.simulator.advance_until_live()
             self._collect(result)
         if not self.agents:
@@ -237,7 +238,7 @@ class LaneChangeParallelEnv(ParallelEnv):
     def state(self) -> NDArray[np.float32]:
         """Every vehicle on the road by decreasing position, (max_vehicles, columns) float32.
 
-        The columns are STATE_COLUMNS; rows without a vehicle are zero, their agent -1.
+        The columns are STATE_COLUMNS; rows without a vehicle are zero, with agent -1.
         """
         rows = np.zeros(self.state_space.shape, np.float32)
         count = int(self.simulator.roads["num_vehicles"][0])
@@ -257,7 +258,7 @@ class LaneChangeParallelEnv(ParallelEnv):
             action = actions[agent]
         except KeyError:
             raise ValueError(
-                f"actions: {agent} is live and has no action; live are {self.agents}"
+                f"actions: {agent} is live and has no action; live agents: {self.agents}"
             ) from None
         try:
             array = np.asarray(action, np.float64)
@@ -272,7 +273,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         return values
 
     def _collect(self, result: Step) -> None:
-        """Write what the live agents and those that just ended have into the dicts."""
+        """Write the values of the live agents and of those that have just ended to the dicts."""
         observations, rewards, terminations, truncations, infos = result
         self.agents = []
         self._slots.clear()
@@ -315,7 +316,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         }
 
     def _absent(self) -> Step:
-        """What the dicts say of agents that are not there: nothing, or zeros."""
+        """The dicts before any live agent is added: empty, or zeros for all possible agents."""
         if not self.fixed_agents:
             return {}, {}, {}, {}, {}
         names = self.possible_agents
@@ -328,7 +329,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         )
 
     def _close_episode(self, result: Step) -> None:
-        """At the horizon, the commands that were never given end as well."""
+        """At the horizon, truncate also the agents whose commands were never given."""
         if self.fixed_agents:
             for name in self.possible_agents:
                 if name not in self._finished:
@@ -349,5 +350,5 @@ def env(
     render_mode: None = None,
     **options: Unpack[Options],
 ) -> AECEnv:
-    """The same environment in PettingZoo's agent-environment-cycle form."""
+    """The same environment in PettingZoo's AEC (agent-environment-cycle) form."""
     return parallel_to_aec(parallel_env(scenario, render_mode, **options))

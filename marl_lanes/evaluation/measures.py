@@ -1,4 +1,4 @@
-"""What is measured of one maneuver; docs/metrics.md gives every definition, unit and source."""
+"""Metrics of one maneuver; docs/metrics.md gives every definition, unit and source."""
 
 from dataclasses import dataclass
 from math import nan
@@ -26,7 +26,7 @@ STEERING_COSTS = tuple(term.name for term in CHANGER.terms if term.is_steering_c
 
 @dataclass(frozen=True)
 class AftermathMetrics:
-    """What is measured of a completed vehicle in the time after; nan where it is not defined."""
+    """Metrics of a vehicle in the time after completion; nan if not defined."""
 
     is_good: bool
     is_lost: bool
@@ -40,7 +40,7 @@ class AftermathMetrics:
 
 @dataclass(frozen=True)
 class ManeuverMetrics:
-    """What is measured of one maneuver; nan where it is not defined."""
+    """Metrics of one maneuver; nan if not defined."""
 
     outcome: Outcome
     num_aborts: int
@@ -64,11 +64,11 @@ class ManeuverMetrics:
     max_changer_braking: float
     safety: SafetyMetrics
     after: AftermathMetrics | None
-    """None where the change was not completed."""
+    """None if the change was not completed."""
 
     @property
     def is_success(self) -> bool:
-        """Completed, and neither lost, nor collided, nor out of its lane afterwards."""
+        """Completed, and afterwards neither lost nor in a collision nor out of its lane."""
         return self.after is not None and self.after.is_good
 
 
@@ -134,7 +134,7 @@ def _measure_aftermath(aftermath: Aftermath, step: float) -> AftermathMetrics:
 
 
 def _optimal_return(maneuver: Maneuver, scenario: Scenario) -> float:
-    """The optimum of the speed profile since the last engagement; aborts before it are left out."""
+    """Optimum for the speed profile since the last engagement, without aborts before it."""
     trace = maneuver.trace
     aborted = np.flatnonzero(trace["phase"] == Phase.ABORTING)
     last = trace[aborted[-1] + 1 :] if aborted.size else trace
@@ -167,8 +167,8 @@ def _peak_jerk(
 ) -> float:
     """Largest |mean of the jerk over ``duration``|: the acceleration's change over the window.
 
-    Every attempt by itself, for nothing is recorded between two; the acceleration before its first
-    row, ``before``, is taken to have lasted for the window.
+    Each attempt is measured separately, because nothing is recorded between two attempts. The
+    acceleration ``before`` the first row of an attempt is assumed constant over the window.
     """
     window = max(1, round(duration / step))
     largest = nan

@@ -35,7 +35,7 @@ TRACE = np.dtype(
         ("command", "i8"),
         ("step", "i8"),  # of the road, after the step
         ("direction", "i4"),  # +1 to the left, -1 to the right
-        ("phase", "i4"),  # in which the agent acted
+        ("phase", "i4"),  # phase in which the agent acted
         # Before the step, in the road frame.
         ("position_before", "f8"),
         ("lateral_position_before", "f8"),
@@ -72,19 +72,19 @@ TRACE = np.dtype(
         ("origin_leader_speed", "f8"),
         ("origin_follower_gap", "f8"),
         ("origin_follower_speed", "f8"),
-        # Braking beyond what car following without the change would ask in the state before the
-        # step, of the changer and of who was behind it then; nan where nobody was.
+        # Braking beyond that of car following without the lane change, in the state before the
+        # step, of the changer and of the vehicle behind it then; nan where there was none.
         ("imposed_on_changer", "f8"),
         ("imposed_on_follower", "f8"),
         *((name, "f8") for name in CHANGER.reward_names),
     ]
 )
-"""One row for every step in which an agent steered."""
+"""One row per step in which an agent steered."""
 
 
 @dataclass
 class Maneuver:
-    """One command, from its birth to its outcome."""
+    """One command, from its start to its outcome."""
 
     env: int
     command: int
@@ -97,25 +97,25 @@ class Maneuver:
     time_to_end: float
     """From the command to the outcome [s]."""
     has_side_collision: bool
-    """It ended in a collision that came across the road while it steered."""
+    """It ended in a collision of the kind side while the agent steered."""
     episode_reward: float
-    """Sum of every term of the reward since the command, waiting included."""
+    """Sum of all reward terms since the command, with the waiting steps."""
     trace: NDArray[np.void]
-    """(N,) TRACE, in the order of time; empty where it never engaged."""
+    """(N,) TRACE, ordered by time; empty if it never engaged."""
     aftermath: Aftermath | None = None
-    """What became of the vehicle; None where the change was not completed."""
+    """The vehicle in the time after completion; None if the change was not completed."""
 
     def __post_init__(self) -> None:
-        """Refuse a completed change of which nobody knows what became of it."""
+        """Reject a completed change without its aftermath, and an aftermath without completion."""
         if (self.aftermath is None) == (self.outcome == Outcome.COMPLETED):
             raise ValueError(
-                f"aftermath = {self.aftermath}: must be there if and only if the outcome is "
-                f"COMPLETED, is {self.outcome.name}"
+                f"aftermath = {self.aftermath}: must be given if and only if the outcome is "
+                f"COMPLETED; the outcome is {self.outcome.name}"
             )
 
 
 class _Recorder:
-    """Collects traces and outcomes of E roads while they are stepped."""
+    """Records traces and outcomes of E roads while they are stepped."""
 
     def __init__(self, simulator: Simulator) -> None:
         self.simulator = simulator
@@ -124,7 +124,7 @@ class _Recorder:
         self.watch = Watch(simulator)
 
     def before(self) -> None:
-        """Note who steers, and the state in which it acts."""
+        """Record the agents that steer, and the state in which they act."""
         simulator = self.simulator
         envs, slots = np.nonzero(simulator.is_steering)
         agents = simulator.agents[envs, slots]
@@ -150,7 +150,7 @@ class _Recorder:
         self._vehicles = agents["vehicle"].copy(), agents["target_follower"].copy()
 
     def after(self) -> None:
-        """Complete the rows, and note the commands that ended."""
+        """Complete the rows, and record the commands that ended."""
         rows, envs, slots = self._pending
         simulator = self.simulator
         agents = simulator.agents[envs, slots]
@@ -215,7 +215,7 @@ class _Recorder:
             )
 
     def _note_imposed(self, rows: NDArray[np.void], envs: NDArray[np.int64]) -> None:
-        """By how much changer and follower brake harder than they would without the change."""
+        """How much harder changer and follower brake than without the lane change."""
         for name, slot, without in zip(
             ("changer", "follower"), self._vehicles, self._without, strict=True
         ):
@@ -248,7 +248,7 @@ class _Recorder:
         return np.where(slot == NONE, np.inf, gap)
 
     def finish(self) -> list[Maneuver]:
-        """The maneuvers in the order of road and command, with their traces."""
+        """The maneuvers ordered by road and command, with their traces."""
         self.watch.finish()
         rows = np.concatenate(self.rows) if self.rows else np.zeros(0, TRACE)
         rows = rows[np.lexsort((rows["step"], rows["command"], rows["env"]))]
@@ -273,23 +273,23 @@ def run_maneuvers(
     follower_policies: Mapping[str, FollowerPolicy] | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[Maneuver]:
-    """The first ``num_maneuvers`` commands of seeded episodes, in the order of road and command.
+    """The first ``num_maneuvers`` commands of seeded episodes, ordered by road and command.
 
-    Every road runs one whole episode of the scenario, so that quick maneuvers are not counted more
-    often than slow ones; commands beyond the number wanted are dropped from the last road.
+    Every road runs one whole episode of the scenario, so quick maneuvers are not counted more
+    often than slow ones. Commands beyond ``num_maneuvers`` are dropped from the last road.
 
     Args:
         scenario: with ``num_agents`` set.
-        policy: of every agent whose action counts: it steers, or waits where actions are (N, 2).
+        policy: for every agent whose action is used: it steers, or waits if actions are (N, 2).
         num_maneuvers: >= 1.
         seed: of the traffic.
-        follower_policies: by disposition, before those that are registered or saved.
-        progress: called after every step with the number of commands finished so far.
+        follower_policies: by disposition; they have priority over registered and saved ones.
+        progress: called after every step with the number of finished commands.
 
     Raises:
-        ScenarioError: its episodes have no end, no commands, or end before the first one; or no
-            policy is known for a disposition of its followers.
-        CheckpointError: that of the learned followers cannot be read or does not fit.
+        ScenarioError: its episodes have no end, no commands, or end before the first command; or a
+            disposition of its followers has no policy.
+        CheckpointError: the checkpoint of the learned followers cannot be read or does not fit.
         ValueError: ``num_maneuvers`` is below 1.
     """
     if num_maneuvers < 1:
@@ -315,16 +315,16 @@ def run_maneuvers(
     maneuvers = recorder.finish()[:num_maneuvers]
     if not maneuvers:
         raise ScenarioError(
-            f"scenario {loaded.name!r}: horizon = {loaded.horizon}: over before the first command"
+            f"scenario {loaded.name!r}: horizon = {loaded.horizon}: ends before the first command"
         )
     return maneuvers
 
 
 def check_episodes(scenario: Scenario) -> int:
-    """The number of commands in an episode, which every evaluation needs.
+    """The number of commands per episode, which every evaluation needs.
 
     Raises:
-        ScenarioError: its episodes have no end, or no commands.
+        ScenarioError: the episodes of the scenario have no end, or no commands.
     """
     if scenario.num_agents is None or scenario.command.probability == 0.0:
         raise ScenarioError(

@@ -297,14 +297,14 @@ def test_a_saved_follower_drives(tmp_path):
         step = int(road.simulator.roads["step"][0])
         asked = policy(seen.copy()).tolist() if rows.size else []
         observations = road.step(actions_of(road, observations))[0]
-        # Where nobody is live it runs on, and the step's accelerations are gone.
+        # Without live agents it advances further, and the step's accelerations are lost.
         if int(road.simulator.roads["step"][0]) == step + 1:
             wanted += asked
             found += road.simulator.vehicles[0, cars]["acceleration"].tolist()
     assert len(found) > 20
     assert found == wanted
     assert len(set(found)) > 10
-    # A learner takes the place of the file, which is then not even read.
+    # With a learner the file is not read.
     (tmp_path / "follower.pt").unlink()
     learners(scenario)
     with pytest.raises(CheckpointError, match=r"follower\.pt"):

@@ -1,4 +1,4 @@
-"""The PettingZoo environment, held to PettingZoo's own tests and to whole episodes."""
+"""The PettingZoo environment: PettingZoo's own tests, and whole episodes."""
 
 import itertools
 import warnings
@@ -13,7 +13,7 @@ from marl_lanes.envs.parallel import STATE_COLUMNS
 from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
 
 with warnings.catch_warnings():
-    # Where pygame is installed, PettingZoo's tests import one of its games in a deprecated way.
+    # With pygame installed, PettingZoo's tests import one of its games in a deprecated way.
     warnings.filterwarnings("ignore", "The old environment creation API", DeprecationWarning)
     from pettingzoo.test import (
         api_test,
@@ -56,7 +56,7 @@ POLICIES = {"steer": steer, "hold": hold}
 
 
 def play(road, policy=steer, **reset):
-    """Steps of an episode: the agents before each, and what the reset and the steps returned."""
+    """Steps of an episode: the agents before each step, and the results of reset and steps."""
     observations, infos = road.reset(**reset)
     empty = dict.fromkeys(observations, 0.0), dict.fromkeys(observations, False)
     frames = [([], observations, empty[0], empty[1], empty[1], infos)]
@@ -245,7 +245,7 @@ def test_a_bad_action_is_refused_by_the_agents_name(action, problem):
     (agent,) = road.agents
     with pytest.raises(ValueError, match=rf"actions\['{agent}'\].*{problem}"):
         road.step({agent: action})
-    # The refused step has changed nothing.
+    # The rejected step has changed nothing.
     fine = {agent: np.array([0.1], np.float32)}
     assert repr(road.step(fine)) == repr(twin.step(fine))
 

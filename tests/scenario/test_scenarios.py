@@ -82,7 +82,7 @@ def test_the_paper_is_the_schemas_defaults_and_says_every_field():
     assert set(dumped) - set(spelled) == {"name"}
     for name, value in spelled.items():
         if isinstance(value, dict):
-            # An arc-free road need not say so.
+            # A road without arcs need not list them.
             assert set(dumped[name]) - set(value) <= {"arcs"}, name
 
 
@@ -174,7 +174,7 @@ def test_a_new_profile_beside_the_others():
     assert set(scenario.drivers.profiles) == {"normal", "aggressive", "defensive", "late"}
 
 
-# Errors: what is wrong, its value, what is allowed
+# Errors: the field, its value, the allowed values
 
 WRONG = [
     ({"colour": 1}, ["colour: unknown key; allowed: name, description, time_step"]),
@@ -348,7 +348,7 @@ def test_a_key_that_is_not_text_is_refused(tmp_path, text):
 
 @pytest.mark.parametrize("horizon", [0.01, 1e300])
 def test_a_horizon_that_cannot_be_counted_in_steps_is_refused(horizon):
-    """Rounded to no step at all it would be no end; beyond 64 bits it cannot be stored."""
+    """Rounded to 0 steps a horizon would mean no end; beyond 64 bits it cannot be stored."""
     assert "horizon" in error_of("paper", {"horizon": horizon})
 
 
