@@ -82,9 +82,9 @@ def test_a_kept_kernel_is_found(code, cache):
 @pytest.mark.parametrize(
     "damage",
     [
-        lambda content: b"",
+        lambda _: b"",
         lambda content: content[: len(content) // 2],
-        lambda content: b"no pickle",
+        lambda _: b"no pickle",
         # What a crash may leave of a file: its length, and zeros for a part of its content.
         lambda content: content[:-100] + bytes(100),
     ],
@@ -121,7 +121,7 @@ def test_what_others_have_kept_is_a_miss(code, cache, other):
     assert run(code, cache) == ("4.0 1", "")
 
 
-def test_a_full_disk(code, filled, tmp_path):
+def test_a_full_disk(code, tmp_path):
     # Enough for the index, too little for the code: the index then lists what is not there.
     full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))"
     message = "compiled kernels are not kept on disk: File too large"
