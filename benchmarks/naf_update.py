@@ -9,7 +9,6 @@ same parameters. Then they take turns (A B A B ...); the table shows medians of 
 """
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +21,7 @@ from torch import Tensor
 from torch.nn.functional import mse_loss, softplus
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
+from marl_lanes.files import write_json
 from marl_lanes.naf.lateral import A_MAX_FLOOR, PaperMu
 from marl_lanes.naf.network import LOG_DIAGONAL_BOUND
 from marl_lanes.training.checkpoint import make_network
@@ -283,7 +283,7 @@ def main() -> None:
                 f"parameters of both differ by at most {difference:.1e}"
             )
     if options.json is not None:
-        options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, results)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """The report's figures, the paper's Figures 6 to 8 for a run, and those of the comparisons."""
 
 import csv
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.evaluation.tables import format_estimate
+from marl_lanes.files import write_atomically
 from marl_lanes.scenario import Scenario
 
 RUNNING_MEAN = 200
@@ -209,10 +209,5 @@ def _mark_optimum(axes: Any, optimal_return: float | None) -> None:
 
 def _save(figure: Figure, path: Path) -> None:
     """Write the picture, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        figure.savefig(temporary, dpi=120, format=path.suffix[1:])
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    kind = path.suffix[1:]
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120, format=kind))
