@@ -19,6 +19,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.functional import mse_loss, softplus
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
 from marl_lanes.files import write_json
@@ -79,6 +80,7 @@ class BareUpdate:
         self.parameters = [*self.factor, *self.value, *self.mu]
         self.data = [value.detach() for value in self.parameters]
         self.target = [value.clone() for value in self.data]
+        self.update_target: Callable[..., None] = get_ema_multi_avg_fn(1.0 - TAU)  # type: ignore[no-untyped-call]
         self.target_value = self.target[len(self.factor) : len(self.factor) + len(self.value)]
         self.optimizer = torch.optim.Adam(self.parameters, lr=RATE, fused=True)
         self.loss: Callable[..., Tensor] = torch.compile(self._loss) if is_compiled else self._loss
@@ -94,7 +96,7 @@ class BareUpdate:
         loss = self.loss(**batch)
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
-        torch._foreach_lerp_(self.target, self.data, TAU)
+        self.update_target(self.target, self.data, None)
         return loss.detach()
 
     def _loss(

@@ -272,7 +272,8 @@ class Learner:
 
     def _take_step(self, batch: TensorDictBase) -> Tensor:
         config = self.config
-        torch._foreach_zero_(self.gradients)
+        for gradient in self.gradients:
+            gradient.zero_()
         loss: Tensor = self.compute_loss(batch)["loss"]
         loss.backward()
         if config.optimizer.max_gradient_norm is not None:
