@@ -1,11 +1,11 @@
-"""One NAF update beside the same arithmetic in bare PyTorch, in the same run.
+"""One NAF update compared with the same arithmetic in bare PyTorch, in the same run.
 
 python benchmarks/naf_update.py [--rounds N] [--eager] [--json FILE]
 
 An update is what ``Learner.update`` does: draw a batch, loss, backward, fused Adam, soft target.
-The bare one has plain tensors for the replay and functions for the networks, and no library but
-torch. Before they are timed both make the same updates from the same start, which must end in the
-same parameters. Then they take turns (A B A B ...); the table shows medians of CPU time.
+The bare one has plain tensors for the replay buffer and functions for the networks, and no library
+except torch. Before the timing both make the same updates from the same start, and must end with
+the same parameters. Then they take turns (A B A B ...); the table shows medians of CPU time.
 """
 
 import argparse
@@ -38,13 +38,13 @@ from marl_lanes.training.learner import Learner
 from marl_lanes.training.replay import Replay
 
 TARGETS = {64: 1.3, 1024: 1.1}
-"""Time of an update over that of the bare one, both eager: at most this."""
+"""Target: largest ratio of the time of an update to that of the bare one, both eager."""
 CAPACITY = 65_536
 GAMMA, TAU, RATE = 0.99, 0.02, 5e-4
 UPDATES_PER_TURN = {64: 128, 1024: 32}
 CHECKED_UPDATES = 20
 TOLERANCE = 2e-5
-"""Largest difference of parameters that are to be the same, after CHECKED_UPDATES."""
+"""Largest allowed difference of the parameters after CHECKED_UPDATES."""
 
 
 class BareUpdate:
@@ -86,7 +86,7 @@ class BareUpdate:
         self.loss: Callable[..., Tensor] = torch.compile(self._loss) if is_compiled else self._loss
 
     def update(self, number: int) -> list[float]:
-        """So many updates; their losses."""
+        """Make ``number`` updates; returns their losses."""
         return torch.stack([self._take_step() for _ in range(number)]).tolist()
 
     def _take_step(self) -> Tensor:
@@ -224,7 +224,7 @@ def _all_parameters(network: NAFNetwork) -> list[Tensor]:
 
 
 def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, Any]:
-    """Median CPU microseconds an update of every contestant, and the ratios."""
+    """Median CPU time per update of every contestant [us], and the ratios."""
     contestants: dict[str, Callable[[int], object]] = {}
     differences = {}
     for mode in ("eager", "compiled") if has_compiled else ("eager",):
@@ -244,7 +244,7 @@ def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, An
             start = time.process_time()
             update(number)
             times[name].append((time.process_time() - start) / number * 1e6)
-    # The first turn of each warms up. A ratio is that of neighbors in time.
+    # The first turn of each is a warm-up. A ratio is taken between turns of the same round.
     kept = {name: values[1:] for name, values in times.items()}
     base = kept["bare eager"]
     return {

@@ -22,8 +22,8 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
-from marl_lanes.envs.batched import GROUP
 from marl_lanes.files import write_json
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.config import TrainingConfig, register
 from marl_lanes.training.learner import Learner
@@ -66,7 +66,7 @@ def measure_slots(rounds: int) -> list[dict[str, float]]:
             "observation": torch.randn(NUM_ENVS, slots, len(network.features)),
             "acting": acting.reshape(NUM_ENVS, slots),
         }
-        data = TensorDict({GROUP: TensorDict(group, [NUM_ENVS, slots])}, [NUM_ENVS])
+        data = TensorDict({CHANGER.group: TensorDict(group, [NUM_ENVS, slots])}, [NUM_ENVS])
         for name in ("live", "all"):
             counted = Counted(network.policy().module)
             contestants[slots, name] = counted, _stepper(name, counted, data)
@@ -96,7 +96,7 @@ def _stepper(name: str, counted: Counted, data: TensorDict) -> Callable[[], obje
 
     def on_all() -> object:
         with torch.no_grad():
-            return counted(data[GROUP, "observation"])
+            return counted(data[CHANGER.group, "observation"])
 
     return on_all
 

@@ -22,7 +22,6 @@ from omegaconf import MISSING, DictConfig
 from tqdm import tqdm
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
-from marl_lanes.envs.batched import FOLLOWERS
 from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
 from marl_lanes.evaluation.metrics import evaluate
@@ -31,7 +30,8 @@ from marl_lanes.evaluation.tables import format_crossplay
 from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
-from marl_lanes.traffic.external import FollowerPolicy
+from marl_lanes.traffic.roles.external import FollowerPolicy
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import load_checkpoint, make_follower_network
 from marl_lanes.training.config import (
     CONFIG_FILE,
@@ -216,7 +216,7 @@ class Run:
                 config,
                 env,
                 make_follower_network(self.scenario, config.hidden_sizes),
-                group=FOLLOWERS,
+                group=FOLLOWER.group,
                 others=[LivePolicy(driver.policy().module, driver.action_dim)],
                 evaluated=EVALUATED,
                 device=self.device,

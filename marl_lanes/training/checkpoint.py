@@ -9,8 +9,8 @@ from marl_lanes.files import write_atomically
 from marl_lanes.naf.checkpoint import FORMAT, Checkpoint, CheckpointError, read_checkpoint
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.observation import FOLLOWER_FEATURES, feature_scaling
-from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.roles.follower import FOLLOWER
 
 _HIDDEN_SIZES = (64, 64)
 
@@ -31,20 +31,19 @@ def make_network(
         knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
             of the yaw acceleration in it; otherwise it is a plain parabola.
     """
-    features = scenario.observation.features
-    offsets, scales = feature_scaling(features)
-    low, high = (bound.tolist() for bound in action_bounds(scenario))
+    seen = CHANGER.seen(scenario)
+    low, high = (bound.tolist() for bound in CHANGER.action_bounds(scenario))
     costs = [0.0] * len(low)
     if knows_action_cost and mu.startswith("cascade"):
-        costs[0] = scenario.reward.acceleration_weight
+        costs[0] = scenario.reward.yaw_acceleration_weight
     return NAFNetwork(
-        features,
+        [feature.name for feature in seen],
         low,
         high,
         mu=mu,
         hidden_sizes=hidden_sizes,
-        offsets=offsets,
-        scales=scales,
+        offsets=[feature.offset for feature in seen],
+        scales=[feature.scale for feature in seen],
         action_costs=costs,
     )
 
@@ -53,15 +52,15 @@ def make_follower_network(
     scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
 ) -> NAFNetwork:
     """An untrained network of the learned followers; its mu is the general one."""
-    low, high = (bound.tolist() for bound in follower_action_bounds(scenario))
+    low, high = (bound.tolist() for bound in FOLLOWER.action_bounds(scenario))
     return NAFNetwork(
-        [feature.name for feature in FOLLOWER_FEATURES],
+        [feature.name for feature in FOLLOWER.features],
         low,
         high,
         mu="mlp",
         hidden_sizes=hidden_sizes,
-        offsets=[feature.offset for feature in FOLLOWER_FEATURES],
-        scales=[feature.scale for feature in FOLLOWER_FEATURES],
+        offsets=[feature.offset for feature in FOLLOWER.features],
+        scales=[feature.scale for feature in FOLLOWER.features],
     )
 
 
@@ -91,7 +90,7 @@ def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint:
             f"checkpoint {path}: its features are {found.network.features}, {whose} {features}"
         )
     config = found.network.config
-    bounds = [bound.tolist() for bound in action_bounds(scenario)]
+    bounds = [bound.tolist() for bound in CHANGER.action_bounds(scenario)]
     if [config["action_low"], config["action_high"]] != bounds:
         raise CheckpointError(
             f"checkpoint {path}: its action bounds are {config['action_low']} to "

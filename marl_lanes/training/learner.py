@@ -19,12 +19,13 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import HardUpdate
 from tqdm import tqdm
 
-from marl_lanes.envs.batched import GROUP, LaneChangeEnv
+from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.files import write_json
 from marl_lanes.naf.joined import join_parameters
 from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.naf.updater import ForeachSoftUpdate
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
@@ -84,7 +85,7 @@ class Learner:
         env: LaneChangeEnv,
         network: NAFNetwork,
         *,
-        group: str = GROUP,
+        group: str = CHANGER.group,
         others: Sequence[TensorDictModuleBase] = (),
         evaluated: Sequence[str] = EVALUATED,
         make_collector: MakeCollector = LocalCollector,

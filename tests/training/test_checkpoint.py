@@ -11,7 +11,7 @@ from marl_lanes import load_scenario
 from marl_lanes.envs.followers import load_follower
 from marl_lanes.naf.checkpoint import FORMAT, CheckpointError, greedy_policy, read_checkpoint
 from marl_lanes.naf.network import NAFNetwork
-from marl_lanes.traffic.observation import FOLLOWER_FEATURES
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
     make_follower_network,
@@ -272,13 +272,13 @@ def test_a_followers_network_is_the_scenarios(tmp_path):
         "paper", {"followers": {"external": {"max_acceleration": 2.25, "max_braking": 4.1}}}
     )
     network = make_follower_network(scenario, [8])
-    assert network.features == [feature.name for feature in FOLLOWER_FEATURES]
+    assert network.features == [feature.name for feature in FOLLOWER.features]
     assert network.config["action_low"] == [np.float32(-4.1)]
     assert network.config["action_high"] == [2.25]
     assert network.mu_name == "mlp"
     assert network.hidden_sizes == [8]
-    typical = [[feature.offset + feature.scale for feature in FOLLOWER_FEATURES]]
-    assert network.normalise(torch.tensor(typical)).allclose(torch.ones(1, len(FOLLOWER_FEATURES)))
+    typical = [[feature.offset + feature.scale for feature in FOLLOWER.features]]
+    assert network.normalise(torch.tensor(typical)).allclose(torch.ones(1, len(FOLLOWER.features)))
     file = tmp_path / "f.pt"
     save_checkpoint(file, network, "paper", 3)
     assert load_follower(file, scenario)(np.zeros((5, 9), np.float32)).shape == (5,)
@@ -299,7 +299,7 @@ def test_checkpoint_errors_are_value_errors():
 
 
 def test_a_cascades_network_knows_the_cost_of_the_yaw_acceleration():
-    heavy = load_scenario("paper", {"reward": {"acceleration_weight": 3.0}})
+    heavy = load_scenario("paper", {"reward": {"yaw_acceleration_weight": 3.0}})
     assert make_network(heavy, "cascade", [8]).action_costs == [3.0]
     assert make_network(LONGITUDINAL, "cascade+idm", [8]).action_costs == [2.0, 0.0]
     assert make_network(heavy, "cascade", [8], knows_action_cost=False).action_costs == [0.0]
