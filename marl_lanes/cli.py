@@ -152,7 +152,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.metrics import evaluate
     from marl_lanes.evaluation.rollout import run_maneuvers
     from marl_lanes.evaluation.tables import format_summary
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     scenario = load_scenario(options.scenario)
@@ -178,7 +178,7 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _crossplay(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.crossplay import crossplay
     from marl_lanes.evaluation.tables import format_crossplay
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     sources = _label_changers(options.changers)
@@ -203,7 +203,7 @@ def _crossplay(options: argparse.Namespace) -> None:
 def _compare_followers(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.gaps import compare_followers
     from marl_lanes.evaluation.tables import format_gaps
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     from marl_lanes.evaluation.figures import draw_gaps
