@@ -13,7 +13,7 @@ from marl_lanes.traffic.external import FOLLOWER_COLUMNS, FollowerPolicy, regist
 from marl_lanes.traffic.parameters import follower_action_bounds
 
 if TYPE_CHECKING:
-    from marl_lanes.naf.network import NAFNetwork
+    from marl_lanes.naf.checkpoint import PolicyNetwork
 
 
 def find_policies(
@@ -71,7 +71,7 @@ def load_follower(path: Path, scenario: Scenario) -> FollowerPolicy:
     return follower_policy(network)
 
 
-def follower_policy(network: "NAFNetwork") -> FollowerPolicy:
+def follower_policy(network: "PolicyNetwork") -> FollowerPolicy:
     """The network's greedy action as a driver: observations (n, G) to accelerations (n,)."""
     from marl_lanes.naf.checkpoint import greedy_policy
 

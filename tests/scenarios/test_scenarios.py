@@ -230,7 +230,7 @@ ARCS = [
     ([{"start": 10.0, "end": 50.0}], ["road.arcs.0.radius: must be given"]),
     (
         [{"start": 10.0, "end": 50.0, "radius": 90.0, "bend": 1}],
-        ["road.arcs.0.bend: unknown key; did you mean end? allowed: start, end, radius, transition"],
+        ["road.arcs.0.bend: unknown key; did you mean end? allowed: start, end, radius"],
     ),
     (
         [{"start": 10.0, "end": 50.0, "radius": 90.0, "transition": 21.0}],
