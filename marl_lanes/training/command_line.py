@@ -17,6 +17,9 @@ from pydantic import BaseModel
 from marl_lanes.scenario.messages import fields_at, unknown_key
 from marl_lanes.training.config import ConfigError, ProgramConfig
 
+MAIN_FILE = "config"
+"""Of a program's YAML files the one that names the others."""
+
 HYDRA_VERSION = "1.3"
 """Whose defaults hydra is to have."""
 
@@ -33,6 +36,8 @@ def read_command_line(
     description: str,
     arguments: Sequence[str] | None = None,
     choices: Choices | None = None,
+    *,
+    file: str = MAIN_FILE,
 ) -> Fields:
     """What the command line and the YAML files say, not yet checked.
 
@@ -40,10 +45,11 @@ def read_command_line(
 
     Args:
         kind: the configuration, whose fields ``--help`` lists.
-        folder: of the program, with its config.yaml.
+        folder: of the program, with its YAML files.
         description: of the program, for ``--help``.
         arguments: of the command line; None: those of this process.
         choices: as for ``compose_fields``.
+        file: as for ``compose_fields``.
 
     Raises:
         ConfigError: a key is unknown, or an option is no option.
@@ -57,7 +63,7 @@ def read_command_line(
     parser.add_argument("overrides", nargs="*", metavar="FIELD=VALUE", help="as hydra takes them")
     parser.add_argument("--cfg", choices=["job"], help="print the configuration, and end")
     options = parser.parse_intermixed_args(arguments)
-    fields = compose_fields(kind, folder, options.overrides, choices)
+    fields = compose_fields(kind, folder, options.overrides, choices, file=file)
     if options.cfg is not None:
         sys.stdout.write(yaml.safe_dump(fields, sort_keys=False))
         sys.exit(0)
@@ -69,34 +75,38 @@ def compose_fields(
     folder: Path,
     overrides: Sequence[str],
     choices: Choices | None = None,
+    *,
+    file: str = MAIN_FILE,
 ) -> Fields:
-    """What hydra makes of ``folder``/config.yaml and the overrides.
+    """What hydra makes of a program's YAML files and the overrides.
 
     Args:
         kind: the configuration, for the nearest name of an unknown key.
         folder: of the YAML files.
         overrides: ``FIELD=VALUE``, ``+FIELD=VALUE``, ``FOLDER=FILE``.
         choices: files that are chosen by the rest, where no override names one.
+        file: the YAML file that names the others, without its ending.
 
     Raises:
         ConfigError: a key is unknown, or an override cannot be read.
     """
     try:
         with initialize_config_dir(str(folder.resolve()), version_base=HYDRA_VERSION):
-            fields = _compose(overrides)
+            fields = _compose(file, overrides)
             named = _keys(overrides)
             chosen = [
                 f"{name}={choose(fields)}"
                 for name, choose in (choices or {}).items()
                 if name not in named
             ]
-            return _compose([*overrides, *chosen]) if chosen else fields
+            return _compose(file, [*overrides, *chosen]) if chosen else fields
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(_explain(error, kind, overrides)) from None
 
 
-def _compose(overrides: Sequence[str]) -> Fields:
-    return cast("Fields", OmegaConf.to_container(compose("config", list(overrides)), resolve=True))
+def _compose(file: str, overrides: Sequence[str]) -> Fields:
+    composed = compose(file, list(overrides))
+    return cast("Fields", OmegaConf.to_container(composed, resolve=True))
 
 
 def _keys(overrides: Sequence[str]) -> list[str]:
