@@ -43,7 +43,7 @@ def read(arguments: Sequence[str] | None = None) -> TrainingConfig:
 
 def choose_recipe(fields: Fields) -> str:
     """The recipe of a scenario, where none is named."""
-    scenario = load_scenario(fields["scenario"])
+    scenario = load_scenario(str(fields.get("scenario")))
     return "fast" if scenario.action.longitudinal is None else "interactive"
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import torch
 import yaml
-from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from marl_lanes.scenario.fields import Count, NonNegative, Positive, Real, Section
 from marl_lanes.scenario.messages import explain
@@ -178,6 +178,9 @@ class LearnerConfig(Section):
 class ProgramConfig(Section):
     """What every training program is told."""
 
+    # For hydra a folder named 2024 is a number.
+    model_config = ConfigDict(coerce_numbers_to_str=True)
+
     scenario: str = Field(
         description="name or path of the scenario; the evaluation is on it, unchanged"
     )
@@ -286,8 +289,10 @@ def read_changers_config(kind: type[ChangersKind], fields: Mapping[str, Any]) ->
         ConfigError: as of ``read_config``.
     """
     config = read_config(kind, fields)
-    given = validate(RayConfig, fields["ray"], "ray.")
-    return config if given.address is None else config.model_copy(update={"ray": given})
+    given = fields.get("ray")
+    if config.resume is None or not isinstance(given, Mapping) or given.get("address") is None:
+        return config
+    return config.model_copy(update={"ray": validate(RayConfig, given, "ray.")})
 
 
 def write_config(path: Path, config: ProgramConfig) -> None:

@@ -103,6 +103,7 @@ def test_the_paper_recipe_has_the_papers_numbers():
         ("loss.gamma=0.5", "loss.gamma", 0.5),
         ("loss.gamma=1", "loss.gamma", 1.0),
         ("seed=0", "seed", 0),
+        ("output=2024", "output", "2024"),
         ("initial_checkpoint=a/b.pt", "initial_checkpoint", "a/b.pt"),
         ("network.mu=damped", "network.mu", "damped"),
         ("network.hidden_sizes=[3]", "network.hidden_sizes", [3]),
