@@ -1,15 +1,14 @@
-"""One NAF update beside the same arithmetic in bare PyTorch, in the same run.
+"""One NAF update compared with the same arithmetic in bare PyTorch, in the same run.
 
 python benchmarks/naf_update.py [--rounds N] [--eager] [--json FILE]
 
 An update is what ``Learner.update`` does: draw a batch, loss, backward, fused Adam, soft target.
-The bare one has plain tensors for the replay and functions for the networks, and no library but
-torch. Before they are timed both make the same updates from the same start, which must end in the
-same parameters. Then they take turns (A B A B ...); the table shows medians of CPU time.
+The bare one has plain tensors for the replay buffer and functions for the networks, and no library
+except torch. Before the timing both make the same updates from the same start, and must end with
+the same parameters. Then they take turns (A B A B ...); the table shows medians of CPU time.
 """
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,8 +19,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.functional import mse_loss, softplus
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
+from marl_lanes.files import write_json
 from marl_lanes.naf.lateral import A_MAX_FLOOR, PaperMu
 from marl_lanes.naf.network import LOG_DIAGONAL_BOUND
 from marl_lanes.training.algorithms.naf import NAF, NAFConfig
@@ -31,13 +32,13 @@ from marl_lanes.training.learner import Learner
 from marl_lanes.training.replay import Replay
 
 TARGETS = {64: 1.3, 1024: 1.1}
-"""Time of an update over that of the bare one, both eager: at most this."""
+"""Target: largest ratio of the time of an update to that of the bare one, both eager."""
 CAPACITY = 65_536
 GAMMA, TAU, RATE = 0.99, 0.02, 5e-4
 UPDATES_PER_TURN = {64: 128, 1024: 32}
 CHECKED_UPDATES = 20
 TOLERANCE = 2e-5
-"""Largest difference of parameters that are to be the same, after CHECKED_UPDATES."""
+"""Largest allowed difference of the parameters after CHECKED_UPDATES."""
 
 
 class BareUpdate:
@@ -73,12 +74,13 @@ class BareUpdate:
         self.parameters = [*self.factor, *self.value, *self.mu]
         self.data = [value.detach() for value in self.parameters]
         self.target = [value.clone() for value in self.data]
+        self.update_target: Callable[..., None] = get_ema_multi_avg_fn(1.0 - TAU)  # type: ignore[no-untyped-call]
         self.target_value = self.target[len(self.factor) : len(self.factor) + len(self.value)]
         self.optimizer = torch.optim.Adam(self.parameters, lr=RATE, fused=True)
         self.loss: Callable[..., Tensor] = torch.compile(self._loss) if is_compiled else self._loss
 
     def update(self, number: int) -> list[float]:
-        """So many updates; their losses."""
+        """Make ``number`` updates; returns their losses."""
         return torch.stack([self._take_step() for _ in range(number)]).tolist()
 
     def _take_step(self) -> Tensor:
@@ -88,7 +90,7 @@ class BareUpdate:
         loss = self.loss(**batch)
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
-        torch._foreach_lerp_(self.target, self.data, TAU)
+        self.update_target(self.target, self.data, None)
         return loss.detach()
 
     def _loss(
@@ -226,7 +228,7 @@ def _all_parameters(network: NAFNetwork) -> list[Tensor]:
 
 
 def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, Any]:
-    """Median CPU microseconds an update of every contestant, and the ratios."""
+    """Median CPU time per update of every contestant [us], and the ratios."""
     contestants: dict[str, Callable[[int], object]] = {}
     differences = {}
     for mode in ("eager", "compiled") if has_compiled else ("eager",):
@@ -246,7 +248,7 @@ def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, An
             start = time.process_time()
             update(number)
             times[name].append((time.process_time() - start) / number * 1e6)
-    # The first turn of each warms up. A ratio is that of neighbors in time.
+    # The first turn of each is a warm-up. A ratio is taken between turns of the same round.
     kept = {name: values[1:] for name, values in times.items()}
     base = kept["bare eager"]
     return {
@@ -287,7 +289,7 @@ def main() -> None:
                 f"parameters of both differ by at most {difference:.1e}"
             )
     if options.json is not None:
-        options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, results)
 
 
 if __name__ == "__main__":

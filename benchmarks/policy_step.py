@@ -8,7 +8,6 @@ the recipes of agents/naf: microseconds for each collected live transition.
 """
 
 import argparse
-import json
 import statistics
 import tempfile
 import time
@@ -20,8 +19,9 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from marl_lanes import LaneChangeEnv, load_scenario
-from marl_lanes.envs.batched import GROUP
+from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.command_line import compose_fields
@@ -65,7 +65,7 @@ def measure_slots(rounds: int) -> list[dict[str, float]]:
             "observation": torch.randn(NUM_ENVS, slots, len(network.features)),
             "acting": acting.reshape(NUM_ENVS, slots),
         }
-        data = TensorDict({GROUP: TensorDict(group, [NUM_ENVS, slots])}, [NUM_ENVS])
+        data = TensorDict({CHANGER.group: TensorDict(group, [NUM_ENVS, slots])}, [NUM_ENVS])
         for name in ("live", "all"):
             counted = Counted(network.policy().module)
             contestants[slots, name] = counted, _stepper(name, counted, data)
@@ -95,7 +95,7 @@ def _stepper(name: str, counted: Counted, data: TensorDict) -> Callable[[], obje
 
     def on_all() -> object:
         with torch.no_grad():
-            return counted(data[GROUP, "observation"])
+            return counted(data[CHANGER.group, "observation"])
 
     return on_all
 
@@ -155,7 +155,7 @@ def main() -> None:
         print(format_split(splits[recipe]))
     if options.json is not None:
         result = {"slots": slots, "split": splits, "other_target": OTHER_TARGET}
-        options.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, result)
 
 
 if __name__ == "__main__":

@@ -13,13 +13,13 @@ from marl_lanes.evaluation.figures import draw_maneuver, draw_training
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_summary
+from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import load_policy
 from marl_lanes.training.collectors import WorkerError
 from marl_lanes.training.config import ChangersConfig, ConfigError, write_config
-from marl_lanes.training.files import write_json
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, check_empty
 from marl_lanes.training.timing import format_split

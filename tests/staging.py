@@ -5,7 +5,7 @@ import math
 import numpy as np
 from reference import Car, Road
 
-from marl_lanes.traffic.state import Disposition, Outcome, Phase
+from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 
 
 def damped_actions(simulator, noise=0.0, generator=None):
@@ -19,7 +19,7 @@ def damped_actions(simulator, noise=0.0, generator=None):
         if generator is not None:
             actions[..., 1] = generator.uniform(-4.0, 4.0, simulator.agents.shape)
     width = simulator.scenario.road.lane_width
-    for env, slot in zip(*simulator.is_engaged.nonzero(), strict=True):
+    for env, slot in zip(*simulator.is_steering.nonzero(), strict=True):
         agent = simulator.agents[env, slot]
         car = simulator.vehicles[env, agent["vehicle"]]
         is_back = agent["phase"] == Phase.ABORTING
@@ -75,7 +75,7 @@ def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
     row["origin_lane"], row["target_lane"] = lane, lane + direction
     row["command"], row["born_step"] = road["num_commands"][0], road["step"][0]
     row["leader"] = row["follower"] = row["target_leader"] = row["target_follower"] = -1
-    row["num_aborts"] = row["engaged_steps"] = row["episode_reward"] = 0
+    row["num_aborts"] = row["steering_steps"] = row["episode_reward"] = 0
     simulator.vehicles[env, vehicle]["agent"] = slot
     road["num_live"] += 1
     road["num_commands"] += 1

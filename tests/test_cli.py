@@ -92,7 +92,7 @@ def test_a_checkpoint_is_evaluated(capsys, tmp_path):
         (["evaluate", "wrong.pt"], "checkpoint wrong.pt: its features"),
         (["evaluate", "text.pt"], "checkpoint text.pt: not a checkpoint"),
         ([*EVALUATE, "--scenario", "endless.yaml"], "needs num_agents"),
-        (["evaluate", "--policy", "lane-keeping", "--scenario", "blind.yaml"], "must hold"),
+        (["evaluate", "--policy", "lane-keeping", "--scenario", "blind.yaml"], "must contain"),
         ([*EVALUATE, "--scenario", "blind.yaml"], "needs the feature"),
     ],
 )

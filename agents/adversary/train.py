@@ -19,16 +19,17 @@ from pydantic import Field, field_validator
 from tqdm import tqdm
 
 from marl_lanes import LaneChangeEnv, Scenario, ScenarioError, load_scenario
-from marl_lanes.envs.batched import FOLLOWERS
 from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import Policy, check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_crossplay
+from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy
 from marl_lanes.scenario.fields import NonNegative
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
-from marl_lanes.traffic.external import FollowerPolicy
+from marl_lanes.traffic.roles.external import FollowerPolicy
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.naf import NAF, NAFConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_follower_network
 from marl_lanes.training.command_line import read_command_line
@@ -42,7 +43,6 @@ from marl_lanes.training.config import (
     read_config,
     write_config,
 )
-from marl_lanes.training.files import copy_file, write_json
 from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.run_folder import (
     FINAL_MODEL,
@@ -214,7 +214,7 @@ class Run:
                 config,
                 env,
                 make_follower_network(self.scenario, config.hidden_sizes),
-                group=FOLLOWERS,
+                group=FOLLOWER.group,
                 device=self.device,
                 acting_device=self.device,
             )

@@ -13,7 +13,7 @@ from marl_lanes.scenario.schema import Scenario
 
 
 class ScenarioError(ValueError):
-    """A scenario that cannot be: the message names each field, its value and what is allowed."""
+    """An invalid scenario: the message names each field, its value and the allowed values."""
 
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ else:
 
 
 class _UniqueKeyLoader(SafeLoader):
-    """YAML's safe loader, which also refuses a key that is written twice."""
+    """YAML's safe loader, which also rejects duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -51,13 +51,14 @@ def load_scenario(
     """A scenario by its shipped name, from a YAML file, or from a mapping.
 
     Args:
-        source: a name of ``list_scenarios()``, the path of a YAML file (a ``Path``, or a text with
-            a path separator or the suffix ``.yaml``), a mapping of fields, or a scenario.
+        source: a name of ``list_scenarios()``, the path of a YAML file (a ``Path``, or a string
+            with a path separator or the suffix ``.yaml`` or ``.yml``), a mapping of fields, or a
+            scenario.
         overrides: fields to replace, nested as in the YAML; sections are merged key by key.
 
     Raises:
-        ScenarioError: no such scenario or file, or fields that cannot be; the message names each
-            field, its value and what is allowed.
+        ScenarioError: no such scenario or file, or invalid fields; the message names each field,
+            its value and the allowed values.
     """
     if isinstance(source, Scenario):
         if not overrides:
@@ -84,7 +85,7 @@ def load_scenario(
 
 
 def _read(source: str | Path) -> tuple[str, str, str]:
-    """The text, where it comes from, and the default name of a scenario file."""
+    """The text of a scenario file, a description of its source, and the default name."""
     is_path = isinstance(source, Path) or source.endswith((".yaml", ".yml")) or "/" in source
     if is_path:
         path = Path(source)
@@ -106,7 +107,7 @@ def _merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
     merged = dict(base)
     for key, value in overrides.items():
         below = merged.get(key)
-        # A mix is replaced as a whole: shares of another mix make no sense beside it.
+        # A mix is replaced as a whole: its shares are relative to each other.
         if isinstance(value, Mapping) and isinstance(below, Mapping) and key != "mix":
             merged[key] = _merge(below, value)
         else:

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from marl_lanes.files import write_atomically
 from marl_lanes.naf.checkpoint import (
     FORMAT,
     Checkpoint,
@@ -17,10 +18,9 @@ from marl_lanes.naf.checkpoint import (
 )
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.observation import FOLLOWER_FEATURES, feature_scaling
-from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork
-from marl_lanes.training.files import write_atomically
 
 FORMATS: Mapping[str, Callable[..., PolicyNetwork]] = {
     FORMAT: NAFNetwork,
@@ -47,20 +47,19 @@ def make_network(
         knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
             of the yaw acceleration in it; otherwise it is a plain parabola.
     """
-    features = scenario.observation.features
-    offsets, scales = feature_scaling(features)
-    low, high = (bound.tolist() for bound in action_bounds(scenario))
+    seen = CHANGER.seen(scenario)
+    low, high = (bound.tolist() for bound in CHANGER.action_bounds(scenario))
     costs = [0.0] * len(low)
     if knows_action_cost and mu.startswith("cascade"):
-        costs[0] = scenario.reward.acceleration_weight
+        costs[0] = scenario.reward.yaw_acceleration_weight
     return NAFNetwork(
-        features,
+        [feature.name for feature in seen],
         low,
         high,
         mu=mu,
         hidden_sizes=hidden_sizes,
-        offsets=offsets,
-        scales=scales,
+        offsets=[feature.offset for feature in seen],
+        scales=[feature.scale for feature in seen],
         action_costs=costs,
     )
 
@@ -69,15 +68,15 @@ def make_follower_network(
     scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
 ) -> NAFNetwork:
     """An untrained network of the learned followers; its mu is the general one."""
-    low, high = (bound.tolist() for bound in follower_action_bounds(scenario))
+    low, high = (bound.tolist() for bound in FOLLOWER.action_bounds(scenario))
     return NAFNetwork(
-        [feature.name for feature in FOLLOWER_FEATURES],
+        [feature.name for feature in FOLLOWER.features],
         low,
         high,
         mu="mlp",
         hidden_sizes=hidden_sizes,
-        offsets=[feature.offset for feature in FOLLOWER_FEATURES],
-        scales=[feature.scale for feature in FOLLOWER_FEATURES],
+        offsets=[feature.offset for feature in FOLLOWER.features],
+        scales=[feature.scale for feature in FOLLOWER.features],
     )
 
 
@@ -85,11 +84,15 @@ def make_actor_network(
     scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
 ) -> ActorNetwork:
     """An untrained actor of the changers, for their features and action bounds."""
-    features = scenario.observation.features
-    offsets, scales = feature_scaling(features)
-    low, high = (bound.tolist() for bound in action_bounds(scenario))
+    seen = CHANGER.seen(scenario)
+    low, high = (bound.tolist() for bound in CHANGER.action_bounds(scenario))
     return ActorNetwork(
-        features, low, high, hidden_sizes=hidden_sizes, offsets=offsets, scales=scales
+        [feature.name for feature in seen],
+        low,
+        high,
+        hidden_sizes=hidden_sizes,
+        offsets=[feature.offset for feature in seen],
+        scales=[feature.scale for feature in seen],
     )
 
 
@@ -144,7 +147,7 @@ def _check_fit(path: Path, network: PolicyNetwork, scenario: Scenario) -> None:
             f"checkpoint {path}: its features are {network.features}, {whose} {features}"
         )
     config = network.config
-    bounds = [bound.tolist() for bound in action_bounds(scenario)]
+    bounds = [bound.tolist() for bound in CHANGER.action_bounds(scenario)]
     if [config["action_low"], config["action_high"]] != bounds:
         raise CheckpointError(
             f"checkpoint {path}: its action bounds are {config['action_low']} to "

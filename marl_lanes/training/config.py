@@ -8,9 +8,9 @@ import torch
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from marl_lanes.files import write_atomically
 from marl_lanes.scenario.fields import Count, NonNegative, Positive, Real, Section
 from marl_lanes.scenario.messages import explain
-from marl_lanes.training.files import write_atomically
 
 CONFIG_FILE = "config.yaml"
 """File name of a run's configuration."""

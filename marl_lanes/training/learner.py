@@ -16,12 +16,12 @@ from torch import Tensor
 from tqdm import tqdm
 
 from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import PolicyNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
-from marl_lanes.training.files import write_json
 from marl_lanes.training.interruptions import note_interruptions
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state

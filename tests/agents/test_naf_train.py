@@ -113,7 +113,7 @@ def test_the_evaluation(whole):
         "missed_rate",
         "off_road_rate",
     }
-    wanted |= {"mean_return", "mean_return_acceleration", "mean_return_yaw_rate"}
+    wanted |= {"mean_return", "mean_return_yaw_acceleration", "mean_return_yaw_rate"}
     wanted |= {"mean_return_deviation", "mean_optimal_return", "cost_ratio", "mean_duration"}
     assert wanted < set(result)
     assert set(result) == {"scenario", "policy", "seed", *all_keys()}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from staging import command, damped_actions, stage
 
+from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Disposition, Outcome, Phase
 
 BUSY = {
     "road": {"num_lanes": 5, "length": 500.0},
@@ -59,7 +59,7 @@ def story(simulator):
             continue
         behind = state.followers[0, slot]
         for row in (agent, behind):
-            named = {name: row[name] for name in row.dtype.names}
+            named = {name: row[name].tolist() for name in row.dtype.names}
             named |= {name: ids[row[name]] for name in VEHICLE_INDICES if name in named}
             kind = len(named)
             told |= {(kind, agent["command"], name): value for name, value in named.items()}

@@ -10,12 +10,13 @@ from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_
 from torchrl.objectives import HardUpdate
 
-from marl_lanes.envs.batched import GROUP, LaneChangeEnv
+from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.naf.joined import join_parameters
 from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.naf.updater import ForeachSoftUpdate
 from marl_lanes.scenario.fields import Positive, Real, Section
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.exploration import NoisyActor
 from marl_lanes.training.config import (
@@ -108,7 +109,7 @@ class NAF(Algorithm):
         env: LaneChangeEnv,
         network: NAFNetwork,
         *,
-        group: str = GROUP,
+        group: str = CHANGER.group,
         device: torch.device = CPU,
         acting_device: torch.device = CPU,
     ) -> None:
@@ -164,7 +165,8 @@ class NAF(Algorithm):
 
     def take_step(self, batch: TensorDictBase, number: int) -> Mapping[str, Tensor]:
         """One update of the network, and the target's where it is due."""
-        torch._foreach_zero_(self.gradients)
+        for gradient in self.gradients:
+            gradient.zero_()
         loss: Tensor = self.compute_loss(batch)["loss"]
         loss.backward()
         if self.config.optimizer.max_gradient_norm is not None:

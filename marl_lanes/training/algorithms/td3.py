@@ -11,8 +11,9 @@ from torch.nn.utils import clip_grad_norm_
 from torchrl.modules import ValueOperator
 from torchrl.objectives import SoftUpdate, TD3Loss
 
-from marl_lanes.envs.batched import GROUP, LaneChangeEnv
+from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.scenario.fields import NonNegative, Positive, Real, Section
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork, CriticNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.exploration import NoisyActor
@@ -88,7 +89,7 @@ class TD3(Algorithm):
         env: LaneChangeEnv,
         network: ActorNetwork,
         *,
-        group: str = GROUP,
+        group: str = CHANGER.group,
         device: torch.device = CPU,
         acting_device: torch.device = CPU,
     ) -> None:
