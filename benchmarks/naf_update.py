@@ -25,15 +25,9 @@ from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
 from marl_lanes.files import write_json
 from marl_lanes.naf.lateral import A_MAX_FLOOR, PaperMu
 from marl_lanes.naf.network import LOG_DIAGONAL_BOUND
+from marl_lanes.training.algorithms.naf import NAF, NAFConfig
 from marl_lanes.training.checkpoint import make_network
-from marl_lanes.training.config import (
-    CollectorConfig,
-    ExplorationConfig,
-    LearnerConfig,
-    LossConfig,
-    OptimizerConfig,
-    ReplayConfig,
-)
+from marl_lanes.training.config import validate
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.replay import Replay
 
@@ -160,33 +154,44 @@ def make_learner(
     network: NAFNetwork, replay: Mapping[str, Tensor], batch_size: int, *, is_compiled: bool
 ) -> Learner:
     """A learner with the transitions in its replay buffer; it does not collect any."""
-    config = LearnerConfig(
-        CollectorConfig(num_envs=1, steps_per_batch=1, total_transitions=1),
-        ReplayConfig(
-            capacity=CAPACITY,
-            storage="memory",
-            batch_size=batch_size,
-            rare_share=0.0,
-            warmup_transitions=0,
-        ),
-        LossConfig(gamma=GAMMA, target_update="soft", tau=TAU, target_interval=1),
-        OptimizerConfig(
-            learning_rate=RATE,
-            mu_learning_rate=RATE,
-            final_rate=1.0,
-            max_gradient_norm=None,
-            transitions_per_update=1.0,
-            pretraining_transitions=0,
-            compile=is_compiled,
-        ),
-        ExplorationConfig(
-            initial_sigma=0.1,
-            final_sigma=0.1,
-            annealing_transitions=1,
-            longitudinal_factor=1.0,
-        ),
+    config = validate(
+        NAFConfig,
+        {
+            "collector": {"num_envs": 1, "steps_per_batch": 1, "total_transitions": 1},
+            "replay": {
+                "capacity": CAPACITY,
+                "storage": "memory",
+                "batch_size": batch_size,
+                "rare_share": 0.0,
+                "warmup_transitions": 0,
+            },
+            "loss": {"gamma": GAMMA, "target_update": "soft", "tau": TAU, "target_interval": 1},
+            "optimizer": {
+                "learning_rate": RATE,
+                "mu_learning_rate": RATE,
+                "final_rate": 1.0,
+                "max_gradient_norm": None,
+                "transitions_per_update": 1.0,
+                "pretraining_transitions": 0,
+                "compile": is_compiled,
+            },
+            "exploration": {
+                "initial_sigma": 0.1,
+                "final_sigma": 0.1,
+                "annealing_transitions": 1,
+                "longitudinal_factor": 1.0,
+            },
+            "evaluation": {
+                "save_interval": 1,
+                "num_maneuvers": 1,
+                "final_num_maneuvers": 1,
+                "seed": 0,
+                "criterion": None,
+            },
+        },
     )
-    learner = Learner(config, LaneChangeEnv("paper"), network)
+    env = LaneChangeEnv("paper")
+    learner = Learner(config, env, NAF(config, env, network))
     # A training makes it when it begins, in its run folder; one in memory needs none.
     learner.replay = Replay(config.replay, Path("unused"), 0)
     is_end = replay["terminated"]
@@ -198,7 +203,7 @@ def make_learner(
     return learner
 
 
-def check_same(learner: Learner, bare: BareUpdate) -> float:
+def check_same(learner: Learner, network: NAFNetwork, bare: BareUpdate) -> float:
     """Largest difference of any parameter or target after the same updates from the same start.
 
     Raises:
@@ -207,8 +212,7 @@ def check_same(learner: Learner, bare: BareUpdate) -> float:
     for contestant in (learner, bare):
         torch.manual_seed(7)
         contestant.update(CHECKED_UPDATES)
-    network = learner.network
-    targets = learner.loss.target_value_network_params
+    targets = learner.algorithm.loss.target_value_network_params
     with targets.to_module(network):
         ours = _all_parameters(network)
     pairs = zip([*_all_parameters(network), *ours], [*bare.parameters, *bare.target], strict=True)
@@ -234,7 +238,7 @@ def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, An
         is_compiled = mode == "compiled"
         bare = BareUpdate(network, replay, batch_size, is_compiled=is_compiled)
         learner = make_learner(network, replay, batch_size, is_compiled=is_compiled)
-        differences[mode] = check_same(learner, bare)
+        differences[mode] = check_same(learner, network, bare)
         contestants[f"bare {mode}"] = bare.update
         contestants[f"marl_lanes {mode}"] = learner.update
     number = UPDATES_PER_TURN[batch_size]

@@ -96,7 +96,7 @@ def _make_parser() -> argparse.ArgumentParser:
 
 def _add_policy(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
     policy = parser.add_mutually_exclusive_group(required=is_required)
-    policy.add_argument("checkpoint", nargs="?", help="a checkpoint of agents/naf/train.py")
+    policy.add_argument("checkpoint", nargs="?", help="a checkpoint of a training")
     note = "" if is_required else " (default: tuned-cascade)"
     policy.add_argument(
         "--policy",
@@ -268,14 +268,14 @@ def _make_policy(name: str, scenario: Scenario, seed: int) -> Any:
     import torch
 
     from marl_lanes.naf.checkpoint import greedy_policy
-    from marl_lanes.training.checkpoint import load_checkpoint, make_network
+    from marl_lanes.training.checkpoint import load_policy, make_network
 
     if name in _UNTRAINED:
         torch.manual_seed(0)
         lateral = name.removesuffix("-prior")
         mu = lateral if scenario.action.longitudinal is None else f"{lateral}+idm"
         return greedy_policy(make_network(scenario, mu))
-    return greedy_policy(load_checkpoint(Path(name), scenario).network)
+    return greedy_policy(load_policy(Path(name), scenario).network)
 
 
 def _label_changers(entries: Sequence[str]) -> dict[str, tuple[str, str | None]]:

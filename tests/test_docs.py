@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from marl_lanes import Scenario, load_scenario
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.traffic.roles.changer import FEATURES
+from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
-from marl_lanes.training.config import TrainingConfig
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -66,11 +66,12 @@ def scenario_fields(kind=Scenario, prefix=""):
 
 
 def training_fields(kind=TrainingConfig, prefix=""):
-    for field in dataclasses.fields(kind):
-        if dataclasses.is_dataclass(field.type):
-            yield from training_fields(field.type, f"{prefix}{field.name}.")
+    for name, field in kind.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            yield from training_fields(inner, f"{prefix}{name}.")
         else:
-            yield prefix + field.name
+            yield prefix + name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())

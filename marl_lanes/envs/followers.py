@@ -13,7 +13,7 @@ from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS, FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 
 if TYPE_CHECKING:
-    from marl_lanes.naf.network import NAFNetwork
+    from marl_lanes.naf.checkpoint import PolicyNetwork
 
 
 def find_policies(
@@ -67,7 +67,7 @@ def load_follower(path: Path, scenario: Scenario) -> FollowerPolicy:
     return follower_policy(network)
 
 
-def follower_policy(network: "NAFNetwork") -> FollowerPolicy:
+def follower_policy(network: "PolicyNetwork") -> FollowerPolicy:
     """The network's greedy action as a policy: observations (n, G) to accelerations (n,)."""
     from marl_lanes.naf.checkpoint import greedy_policy
 

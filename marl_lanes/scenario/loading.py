@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from types import UnionType
-from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from marl_lanes.scenario.fields import Section
+from marl_lanes.scenario.messages import explain
 from marl_lanes.scenario.schema import Scenario
 
 
@@ -82,7 +81,7 @@ def load_scenario(
     try:
         return Scenario.model_validate(_merge(data, overrides or {}))
     except ValidationError as error:
-        raise ScenarioError(f"{origin}: " + "; ".join(_explain(error))) from None
+        raise ScenarioError(f"{origin}: {explain(error, Scenario)}") from None
 
 
 def _read(source: str | Path) -> tuple[str, str, str]:
@@ -114,37 +113,3 @@ def _merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
         else:
             merged[key] = value
     return merged
-
-
-def _explain(error: ValidationError) -> list[str]:
-    """One line a problem: field, value, what is allowed."""
-    lines = []
-    for problem in error.errors():
-        location = ".".join(str(part) for part in problem["loc"])
-        message = problem["msg"].removeprefix("Value error, ")
-        message = message.replace("Input should be", "must be")
-        if problem["type"] == "extra_forbidden":
-            allowed = ", ".join(_fields_at(problem["loc"][:-1]))
-            lines.append(f"{location}: unknown key; allowed: {allowed}")
-        elif problem["type"] == "missing":
-            lines.append(f"{location}: must be given")
-        elif isinstance(problem["input"], Mapping | Section) and location.count("mix") == 0:
-            lines.append(f"{location}.{message}" if location else message)
-        else:
-            lines.append(f"{location} = {problem['input']!r}: {message}")
-    return lines
-
-
-def _fields_at(location: tuple[str | int, ...]) -> list[str]:
-    """The keys that the section at ``location`` allows."""
-    annotation: Any = Scenario
-    for part in location:
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            annotation = annotation.model_fields[str(part)].annotation
-        else:
-            # dict[str, X] and tuple[X, ...]: what every entry is.
-            annotation = get_args(annotation)[1 if get_origin(annotation) is dict else 0]
-        if get_origin(annotation) in (Union, UnionType):
-            # A section that may be null.
-            annotation = get_args(annotation)[0]
-    return list(annotation.model_fields)

@@ -1,16 +1,32 @@
 """Networks and checkpoints that fit a scenario: those of its changers, those of its followers."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from marl_lanes.files import write_atomically
-from marl_lanes.naf.checkpoint import FORMAT, Checkpoint, CheckpointError, read_checkpoint
+from marl_lanes.naf.checkpoint import (
+    FORMAT,
+    Checkpoint,
+    CheckpointError,
+    PolicyNetwork,
+    build_checkpoint,
+    read_checkpoint,
+    read_content,
+)
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.training.algorithms.actor_critic import ActorNetwork
+
+FORMATS: Mapping[str, Callable[..., PolicyNetwork]] = {
+    FORMAT: NAFNetwork,
+    "marl-lanes actor policy 1": ActorNetwork,
+}
+"""What a checkpoint's entry ``format`` says: which network it holds."""
 
 _HIDDEN_SIZES = (64, 64)
 
@@ -64,10 +80,27 @@ def make_follower_network(
     )
 
 
-def save_checkpoint(path: Path, network: NAFNetwork, scenario: str, transitions: int) -> None:
+def make_actor_network(
+    scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
+) -> ActorNetwork:
+    """An untrained actor of the changers, for their features and action bounds."""
+    seen = CHANGER.seen(scenario)
+    low, high = (bound.tolist() for bound in CHANGER.action_bounds(scenario))
+    return ActorNetwork(
+        [feature.name for feature in seen],
+        low,
+        high,
+        hidden_sizes=hidden_sizes,
+        offsets=[feature.offset for feature in seen],
+        scales=[feature.scale for feature in seen],
+    )
+
+
+def save_checkpoint(path: Path, network: PolicyNetwork, scenario: str, transitions: int) -> None:
     """Write a checkpoint, whole or not at all."""
-    content = {
-        "format": FORMAT,
+    (form,) = [form for form, kind in FORMATS.items() if kind is type(network)]
+    content: dict[str, Any] = {
+        "format": form,
         "config": network.config,
         "weights": {key: value.detach().cpu() for key, value in network.state_dict().items()},
         "scenario": scenario,
@@ -76,24 +109,47 @@ def save_checkpoint(path: Path, network: NAFNetwork, scenario: str, transitions:
     write_atomically(path, lambda temporary: torch.save(content, temporary))
 
 
-def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint:
-    """Read a changers' checkpoint that fits the scenario: features in order, action bounds.
+def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint[NAFNetwork]:
+    """Read a changers' checkpoint of NAF that fits the scenario.
+
+    Raises:
+        CheckpointError: as of ``load_policy``, or it is of another form.
+    """
+    found = read_checkpoint(path)
+    _check_fit(path, found.network, scenario)
+    return found
+
+
+def load_policy(path: Path, scenario: Scenario) -> Checkpoint[PolicyNetwork]:
+    """Read a changers' checkpoint of any form that fits the scenario.
+
+    It fits where features, in order, and action bounds are the same. No code in it is run.
 
     Raises:
         CheckpointError: not readable, not a checkpoint, or it does not fit the scenario.
     """
-    whose = f"the changers of scenario {scenario.name!r} have"
-    found = read_checkpoint(path)
-    features = list(scenario.observation.features)
-    if found.network.features != features:
+    content = read_content(path)
+    kind = FORMATS.get(str(content.get("format")))
+    if kind is None:
         raise CheckpointError(
-            f"checkpoint {path}: its features are {found.network.features}, {whose} {features}"
+            f"checkpoint {path}: not a checkpoint of the forms {', '.join(map(repr, FORMATS))}"
         )
-    config = found.network.config
+    found = build_checkpoint(path, content, kind)
+    _check_fit(path, found.network, scenario)
+    return found
+
+
+def _check_fit(path: Path, network: PolicyNetwork, scenario: Scenario) -> None:
+    whose = f"the changers of scenario {scenario.name!r} have"
+    features = list(scenario.observation.features)
+    if network.features != features:
+        raise CheckpointError(
+            f"checkpoint {path}: its features are {network.features}, {whose} {features}"
+        )
+    config = network.config
     bounds = [bound.tolist() for bound in CHANGER.action_bounds(scenario)]
     if [config["action_low"], config["action_high"]] != bounds:
         raise CheckpointError(
             f"checkpoint {path}: its action bounds are {config['action_low']} to "
             f"{config['action_high']}, {whose} {bounds[0]} to {bounds[1]}"
         )
-    return found

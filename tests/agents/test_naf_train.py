@@ -1,22 +1,21 @@
 """The training program: its run folder, interruption, repetition, and what it refuses."""
 
 import csv
-import dataclasses
 import importlib.util
 import json
 import re
 import signal
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 from naf_program import PROGRAM, TINY, assert_same_weights, run_program, start, weights
 from omegaconf import OmegaConf
 
-from marl_lanes import load_scenario
+from marl_lanes import ScenarioError, experiment, load_scenario
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
@@ -26,7 +25,7 @@ from marl_lanes.training.checkpoint import (
     make_network,
     save_checkpoint,
 )
-from marl_lanes.training.config import TrainingConfig, read_config, write_config
+from marl_lanes.training.config import write_config
 
 PAPER = load_scenario("paper")
 collector_warnings = pytest.mark.filterwarnings(
@@ -202,7 +201,7 @@ def test_an_existing_run_is_refused(whole):
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
 
 
-@pytest.mark.parametrize("option", ["network.mu=foo", "nonsense=3"])
+@pytest.mark.parametrize("option", ["network.mu=foo", "optimizer.lerning_rate=1"])
 def test_a_bad_value_is_one_error_and_no_folder(tmp_path, option):
     code, out, err = run_program(*TINY, option, "output=run", folder=tmp_path)
     assert code != 0
@@ -222,17 +221,21 @@ def program():
     return module
 
 
-def given(*options):
-    """What hydra makes of the tiny budget and the options."""
-    with initialize_config_dir(str(PROGRAM.parent), version_base="1.3"):
-        return compose("config", [*TINY, "output=run", *options])
+def begin(program, config):
+    """A learner, as the program makes it."""
+    return experiment.start(config, partial(program.make_algorithm, config))[0]
+
+
+def read(program, *options):
+    """What the program makes of the tiny budget and the options."""
+    return program.read([*TINY, "output=run", *options])
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["scenario=nope"], "scenario 'nope': no such scenario"),
-        (["seed=-1"], "seed = -1: must be at least 0"),
+        (["seed=-1"], "seed = -1: must be greater than or equal to 0"),
         (["+training_overrides.road.lanes=3"], "road.lanes: unknown key"),
         (["network.mu=foo"], "foo"),
         (["resume=absent"], "resume = 'absent'"),
@@ -241,19 +244,19 @@ def given(*options):
 def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="(?i)" + message.replace("(", r"\(")) as caught:
-        program.start(read_config(given(*options), TrainingConfig))
+        begin(program, read(program, *options))
     assert len(str(caught.value).splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    config = program.read(given("collector=ray", "num_workers=2", "ray.address=10.0.0.1:1"))
+    config = read(program, "collector=ray", "num_workers=2", "ray.address=10.0.0.1:1")
     assert config.ray.address == "10.0.0.1:1"
     write_config(tmp_path / "run" / "config.yaml", config)
-    again = program.read(given("resume=run", "ray.address=10.0.0.2:2", "num_workers=7"))
+    again = read(program, "resume=run", "ray.address=10.0.0.2:2", "num_workers=7")
     assert (again.ray.address, again.num_workers) == ("10.0.0.2:2", 2)
-    assert program.read(given("resume=run")).ray.address == "10.0.0.1:1"
+    assert read(program, "resume=run").ray.address == "10.0.0.1:1"
 
 
 @collector_warnings
@@ -261,21 +264,22 @@ def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path,
     run, _, _ = whole
     monkeypatch.chdir(tmp_path)
     initial = run / "checkpoints" / "final.pt"
-    config = read_config(given(f"initial_checkpoint={initial}"), TrainingConfig)
-    learner, _ = program.start(config)
+    config = read(program, f"initial_checkpoint={initial}")
+    learner = begin(program, config)
     assert learner.transitions == 0
-    assert_same_weights(weights(run), learner.network.state_dict())
+    assert_same_weights(weights(run), learner.algorithm.network.state_dict())
     # The target network starts there as well.
     observation = torch.randn(5, 6)
-    with learner.loss.target_value_network_params.to_module(learner.loss.value_network):
-        target = learner.loss.value_network.max_value(observation)
-    assert torch.equal(target, learner.network.max_value(observation))
+    with learner.algorithm.loss.target_value_network_params.to_module(
+        learner.algorithm.loss.value_network
+    ):
+        target = learner.algorithm.loss.value_network.max_value(observation)
+    assert torch.equal(target, learner.algorithm.network.max_value(observation))
     learner.close()
     # What is resumed has weights of its own, and does not need the file again.
-    initial = "gone.pt"
-    config = dataclasses.replace(config, initial_checkpoint=initial, resume="run")
-    learner, _ = program.start(config)
-    assert_same_weights(weights(run), learner.network.state_dict())
+    config = config.model_copy(update={"initial_checkpoint": "gone.pt", "resume": "run"})
+    learner = begin(program, config)
+    assert_same_weights(weights(run), learner.algorithm.network.state_dict())
     learner.close()
 
 
@@ -295,7 +299,7 @@ def test_an_initial_checkpoint_that_does_not_fit(program, tmp_path, monkeypatch,
         save_checkpoint(tmp_path / "i.pt", network, "paper", 3)
     before = list(tmp_path.iterdir())
     with pytest.raises(ValueError, match=message):
-        program.start(read_config(given("initial_checkpoint=i.pt"), TrainingConfig))
+        begin(program, read(program, "initial_checkpoint=i.pt"))
     assert list(tmp_path.iterdir()) == before
 
 
@@ -308,17 +312,33 @@ def test_a_scenario_with_two_actions_has_its_recipe(program, tmp_path, monkeypat
         ["seed=1", "scenario='two.yaml'"],
         ["scenario=two.yaml"],
     ):
-        assert program.choose_recipe(named) == ["recipe=interactive"]
+        assert program.read(named).recipe == "interactive"
     for named in (
         [],
-        ["--help"],
         ["seed=1"],
         ["scenario=lateral_only"],
         ["scenario=one.yaml"],
-        ["scenario=absent"],
         ["recipe=fast", "scenario=interactive"],
     ):
-        assert program.choose_recipe(named) == []
+        assert program.read(named).recipe == "fast"
+    for named, scenario in (("scenario=absent", "absent"), ("scenario=3", "3"), ("~scenario", "")):
+        with pytest.raises(ScenarioError, match=f"scenario '{scenario}.*': no such scenario"):
+            program.read([named])
+
+
+def test_the_command_line_explains_itself(program, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for arguments in (["--help"], ["seed=3", "--cfg", "job", "scenario=interactive"]):
+        with pytest.raises(SystemExit) as caught:
+            program.main(arguments)
+        assert caught.value.code in {0, None}
+    out = capsys.readouterr().out
+    usage, _, composed = out.partition("scenario: interactive\n")
+    assert "python agents/naf/train.py" in usage
+    assert "  optimizer.mu_learning_rate: step size of mu" in usage
+    assert "seed: 3\n" in composed
+    assert "recipe: interactive\n" in composed
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_interactive_is_learned(tmp_path):

@@ -179,7 +179,10 @@ def test_a_new_profile_beside_the_others():
 
 WRONG = [
     ({"colour": 1}, ["colour: unknown key; allowed: name, description, time_step"]),
-    ({"road": {"lanes": 3}}, ["road.lanes: unknown key; allowed: length, num_lanes, lane_width"]),
+    (
+        {"road": {"lanes": 3}},
+        ["road.lanes: unknown key; did you mean num_lanes? allowed: length, num_lanes, lane_width"],
+    ),
     ({"road": {"num_lanes": "3"}}, ["road.num_lanes = '3': must be a valid integer"]),
     ({"road": {"num_lanes": 2.5}}, ["road.num_lanes = 2.5: must be a valid integer"]),
     ({"road": {"num_lanes": True}}, ["road.num_lanes = True: must be a valid integer"]),
@@ -228,7 +231,7 @@ ARCS = [
     ([{"start": 10.0, "end": 50.0}], ["road.arcs.0.radius: must be given"]),
     (
         [{"start": 10.0, "end": 50.0, "radius": 90.0, "bend": 1}],
-        ["road.arcs.0.bend: unknown key; allowed: start, end, radius, transition"],
+        ["road.arcs.0.bend: unknown key; did you mean end? allowed: start, end, radius"],
     ),
     (
         [{"start": 10.0, "end": 50.0, "radius": 90.0, "transition": 21.0}],
