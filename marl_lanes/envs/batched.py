@@ -61,7 +61,7 @@ class LaneChangeEnv(EnvBase):
     With ``learned_followers`` there is the group ``followers``: slot k is the driver behind the
     changer of slot k in its target lane. It is live (``mask``) as long as the changer, and
     ``acting`` while it is paired and the changer engaged. Its ``observation`` (E, A, G) has the
-    columns FOLLOWER_FEATURES, its ``action`` (E, A, 1) is the longitudinal acceleration [m/s^2].
+    columns FOLLOWER_COLUMNS, its ``action`` (E, A, 1) is the longitudinal acceleration [m/s^2].
     The other keys are as above; it ends with the command.
 
     The root's ``done`` (E, 1) is the end of a road's episode: all ``num_agents`` commands of the
