@@ -134,7 +134,7 @@ def test_every_metric_is_documented():
 
 def lane_change():
     """Metrics of one maneuver; only their names are used."""
-    from marl_lanes.evaluation.measures import AftermathMetrics, ManeuverMetrics
+    from marl_lanes.evaluation.measures import STEERING_COSTS, AftermathMetrics, ManeuverMetrics
     from marl_lanes.evaluation.safety import SafetyMetrics
     from marl_lanes.traffic.machine.state import Outcome
 
@@ -145,7 +145,8 @@ def lane_change():
         SafetyMetrics(**zeros(SafetyMetrics)),
         AftermathMetrics(**zeros(AftermathMetrics)),
     )
-    parts = {"outcome": Outcome.COMPLETED, "safety": safety, "after": after}
+    returns = dict.fromkeys(STEERING_COSTS, 0.0)
+    parts = {"outcome": Outcome.COMPLETED, "returns": returns, "safety": safety, "after": after}
     return ManeuverMetrics(**(zeros(ManeuverMetrics) | parts))
 
 
