@@ -185,7 +185,7 @@ class LaneChangeEnv(EnvBase):
             self.to(self.device)
 
     def _bounded(self, bounds: Bounds) -> Bounded:
-        """The spec of (E, A, n) between two vectors (n,)."""
+        """The spec of (E, A, n) with two vectors (n,) as bounds."""
         shape = (self.simulator.num_envs, self.simulator.num_slots, len(bounds[0]))
         low, high = (torch.from_numpy(bound).expand(shape) for bound in bounds)
         return Bounded(low, high, shape, dtype=torch.float32)
@@ -236,7 +236,7 @@ class LaneChangeEnv(EnvBase):
         return next_tensordict_out
 
     def _read_out(self) -> dict[str, Columns]:
-        """By group what its agents are told."""
+        """Observations, masks, rewards and ends of the agents, by group."""
         simulator, state = self.simulator, self.simulator.state
         groups = {}
         for role in self.roles:

@@ -303,7 +303,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         self.agents.sort(key=self._rank.__getitem__)
 
     def _collect_follower(self, slot: int, changer: str, name: str, result: Step) -> None:
-        """Write what the driver behind the changer of a slot has into the dicts."""
+        """Write the values of the driver behind the changer of a slot to the dicts."""
         observations, rewards, terminations, truncations, infos = result
         record = self.simulator.state.followers[0, slot]
         observations[name] = self.simulator.state.follower_observations[0, slot].copy()
