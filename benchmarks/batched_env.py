@@ -26,10 +26,10 @@ from turns import (
     print_target,
     read_options,
     take_turns,
-    write_json,
 )
 
 from marl_lanes import LaneChangeEnv, Simulator
+from marl_lanes.files import write_json
 
 SECONDS = 0.4
 """[s] Length of a turn."""
@@ -159,7 +159,8 @@ def main() -> None:
         run_row(f"64 roads, {num_vehicles} vehicles", contestants, options.rounds, figures)
     print_targets(kept, options.rounds, figures)
     compare_groups(options.rounds, figures)
-    write_json(options.json, figures)
+    if options.json is not None:
+        write_json(options.json, figures)
 
 
 def print_targets(

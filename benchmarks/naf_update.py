@@ -9,7 +9,6 @@ the same parameters. Then they take turns (A B A B ...); the table shows medians
 """
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,8 +19,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.functional import mse_loss, softplus
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
+from marl_lanes.files import write_json
 from marl_lanes.naf.lateral import A_MAX_FLOOR, PaperMu
 from marl_lanes.naf.network import LOG_DIAGONAL_BOUND
 from marl_lanes.training.checkpoint import make_network
@@ -79,6 +80,7 @@ class BareUpdate:
         self.parameters = [*self.factor, *self.value, *self.mu]
         self.data = [value.detach() for value in self.parameters]
         self.target = [value.clone() for value in self.data]
+        self.update_target: Callable[..., None] = get_ema_multi_avg_fn(1.0 - TAU)  # type: ignore[no-untyped-call]
         self.target_value = self.target[len(self.factor) : len(self.factor) + len(self.value)]
         self.optimizer = torch.optim.Adam(self.parameters, lr=RATE, fused=True)
         self.loss: Callable[..., Tensor] = torch.compile(self._loss) if is_compiled else self._loss
@@ -94,7 +96,7 @@ class BareUpdate:
         loss = self.loss(**batch)
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
-        torch._foreach_lerp_(self.target, self.data, TAU)
+        self.update_target(self.target, self.data, None)
         return loss.detach()
 
     def _loss(
@@ -283,7 +285,7 @@ def main() -> None:
                 f"parameters of both differ by at most {difference:.1e}"
             )
     if options.json is not None:
-        options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, results)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ the recipes of agents/naf: microseconds for each collected live transition.
 """
 
 import argparse
-import json
 import statistics
 import tempfile
 import time
@@ -23,6 +22,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
+from marl_lanes.files import write_json
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.config import TrainingConfig, register
@@ -157,7 +157,7 @@ def main() -> None:
         print(format_split(splits[recipe]))
     if options.json is not None:
         result = {"slots": slots, "split": splits, "other_target": OTHER_TARGET}
-        options.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, result)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ measured on 1,000 cores.
 """
 
 import argparse
-import json
 import os
 import statistics
 import tempfile
@@ -27,6 +26,7 @@ from omegaconf import OmegaConf
 from tensordict import TensorDictBase
 
 from marl_lanes import LaneChangeEnv
+from marl_lanes.files import write_json
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector, MakeCollector, TrafficCollector
 from marl_lanes.training.config import TrainingConfig, register
@@ -290,7 +290,7 @@ def main() -> None:
         found["plan"] = plan(config, found, list(makers)[-1])
         show(f"plan for {CORES} cores; the policy is sent as in {list(makers)[-1]}", found["plan"])
     if options.json is not None:
-        options.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, found)
 
 
 if __name__ == "__main__":

@@ -21,10 +21,10 @@ from turns import (
     print_target,
     read_options,
     take_turns,
-    write_json,
 )
 
 from marl_lanes import Simulator, parallel_env
+from marl_lanes.files import write_json
 
 SECONDS = 1.0
 """[s] Length of a turn."""
@@ -92,7 +92,8 @@ def main() -> None:
             value = median_ratio(ours, rates[name], "steps")
             print_target(f"env steps/s of parallel_env over {name}", value, bound)
             figures[f"ratio to {name}"] = {"value": value, "target": bound}
-    write_json(options.json, figures)
+    if options.json is not None:
+        write_json(options.json, figures)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,9 @@ import subprocess
 import sys
 import tempfile
 
-from turns import print_target, read_options, write_json
+from turns import print_target, read_options
+
+from marl_lanes.files import write_json
 
 _PROGRAM = """
 import time
@@ -52,7 +54,8 @@ def main() -> None:
     medians = {name: statistics.median(seconds) for name, seconds in rows.items()}
     for name, bound in _TARGETS.items():
         print_target(f"{name} [s]", medians[name], bound, is_least=False)
-    write_json(options.json, {"rounds": options.rounds, **medians})
+    if options.json is not None:
+        write_json(options.json, {"rounds": options.rounds, **medians})
 
 
 if __name__ == "__main__":

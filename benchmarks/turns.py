@@ -1,7 +1,6 @@
 """Contestants that take turns, the medians of their figures, and the output of these."""
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -74,11 +73,3 @@ def print_target(what: str, value: float, bound: float, *, is_least: bool = True
     sign = ">=" if is_least else "<="
     print(f"{what:58} {value:10.2f}  target {sign} {bound:g}: {'holds' if holds else 'MISSED'}")
     return holds
-
-
-def write_json(path: Path | None, figures: Mapping[str, object]) -> None:
-    """Write the figures as JSON if a path is given."""
-    if path is not None:
-        unfinished = path.with_name(path.name + ".part")
-        unfinished.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-        unfinished.replace(path)

@@ -12,9 +12,9 @@ from typing import Any
 import yaml
 
 from marl_lanes.scenario import Scenario, list_scenarios, load_scenario
+from marl_lanes.scenario.followers import SCRIPTED
 
 _UNTRAINED = ("tuned-cascade", "cascade-prior", "damped-prior", "lane-keeping", "random")
-_SCRIPTED = ("cooperative", "neutral", "adversarial")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -81,7 +81,7 @@ def _make_parser() -> argparse.ArgumentParser:
         "gap at the entry into the lane.",
     )
     _add_policy(followers, is_required=False)
-    _add_followers(followers, default=list(_SCRIPTED))
+    _add_followers(followers, default=list(SCRIPTED))
     _add_traffic(followers, num_maneuvers=200)
     followers.add_argument(
         "--maneuver",
@@ -111,7 +111,7 @@ def _add_followers(parser: argparse.ArgumentParser, **options: Any) -> None:
         "--followers",
         nargs="+",
         metavar="FOLLOWER",
-        help=f"{', '.join(_SCRIPTED)}, learned:CHECKPOINT, or a name given to register_follower"
+        help=f"{', '.join(SCRIPTED)}, learned:CHECKPOINT, or a name given to register_follower"
         + note,
         **options,
     )
@@ -152,7 +152,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.metrics import evaluate
     from marl_lanes.evaluation.rollout import run_maneuvers
     from marl_lanes.evaluation.tables import format_summary
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     scenario = load_scenario(options.scenario)
@@ -178,7 +178,7 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _crossplay(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.crossplay import crossplay
     from marl_lanes.evaluation.tables import format_crossplay
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     sources = _label_changers(options.changers)
@@ -203,7 +203,7 @@ def _crossplay(options: argparse.Namespace) -> None:
 def _compare_followers(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.gaps import compare_followers
     from marl_lanes.evaluation.tables import format_gaps
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     from marl_lanes.evaluation.figures import draw_gaps

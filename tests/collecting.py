@@ -60,8 +60,9 @@ def assert_workers_take_the_policy(collector):
     assert wide.numel() > 100
     assert 0.08 < wide.std().item() / half_range < 0.12
     # In separate memory, so that the workers get it only when it is sent.
-    for tensor in [*collector.policy.parameters(), *collector.policy.buffers()]:
-        tensor.data = tensor.data.clone()
+    with torch.no_grad():
+        for tensor in [*collector.policy.parameters(), *collector.policy.buffers()]:
+            tensor.set_(tensor.clone())
     noise.sigma.fill_(0.0)
     with torch.no_grad():
         for parameter in collector.policy.parameters():

@@ -27,6 +27,7 @@ from marl_lanes.evaluation.crossplay import crossplay
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import Policy, check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_crossplay
+from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
 from marl_lanes.traffic.roles.external import FollowerPolicy
@@ -47,7 +48,6 @@ from marl_lanes.training.config import (
     require,
     write_config,
 )
-from marl_lanes.training.files import copy_file, write_json
 from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.run_folder import (
     FINAL_MODEL,

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from tqdm import trange
 
 from marl_lanes import ScenarioError, Simulator
+from marl_lanes.files import write_json
 from marl_lanes.naf.lateral import TUNED_CASCADE, CascadeGains, steer_by_cascade
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.training.files import write_json
 
 LOWEST = CascadeGains(limit=0.2, time=0.8, lateral_limit=0.3, lag=0.08, damping=0.4, threshold=0.0)
 HIGHEST = CascadeGains(limit=0.5, time=2.5, lateral_limit=1.0, lag=0.3, damping=1.4, threshold=0.06)

@@ -22,6 +22,7 @@ from marl_lanes.evaluation.figures import draw_maneuver, draw_training
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_summary
+from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import greedy_policy
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
 from marl_lanes.training.collectors import WorkerError
@@ -34,7 +35,6 @@ from marl_lanes.training.config import (
     register,
     write_config,
 )
-from marl_lanes.training.files import write_json
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, RunFolder, check_empty
 from marl_lanes.training.timing import format_split

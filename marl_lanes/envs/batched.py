@@ -14,6 +14,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from marl_lanes.envs.followers import find_policies
+from marl_lanes.envs.tensordict_internals import make_tensordict
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.readout import Columns, read_changers, read_followers
@@ -252,20 +253,19 @@ class LaneChangeEnv(EnvBase):
     def _make_tensordict(
         self, groups: Mapping[str, Mapping[str, NDArray[Any]]], **root: NDArray[np.bool_]
     ) -> TensorDict:
-        # The shapes are known to be right; checking them takes longer than making the tensors.
         shape = torch.Size(self.simulator.agents.shape)
         device = self.device
         is_elsewhere = device is not None and device.type != "cpu"
         near = _CPU if is_elsewhere else device
         made: dict[str, Any] = {
-            name: TensorDict._new_unsafe(
+            name: make_tensordict(
                 {key: torch.from_numpy(value) for key, value in group.items()}, shape, near
             )
             for name, group in groups.items()
         }
         for key, value in root.items():
             made[key] = torch.from_numpy(value)
-        tensordict = TensorDict._new_unsafe(made, self.batch_size, near)
+        tensordict = make_tensordict(made, self.batch_size, near)
         return tensordict.to(device) if is_elsewhere else tensordict
 
     def _set_seed(self, seed: int | None) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.followers import LEARNED
-from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS, FollowerPolicy, registered_follower
+from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS, FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def find_policies(
     *,
     has_learner: bool = False,
 ) -> dict[str, FollowerPolicy]:
-    """The policies for ``Simulator``: passed in, registered, or from the checkpoint.
+    """The policies that ``Simulator`` does not find itself: passed in, or from the checkpoint.
 
     Args:
         scenario: its ``followers.mix`` names the policies.
@@ -34,10 +34,6 @@ def find_policies(
             followers of this scenario.
     """
     policies = dict(given or {})
-    for name in scenario.followers.external_names:
-        registered = registered_follower(name)
-        if name not in policies and registered is not None:
-            policies[name] = registered
     checkpoint = scenario.followers.learned.checkpoint
     is_wanted = LEARNED in scenario.followers.external_names and LEARNED not in policies
     if is_wanted and checkpoint is not None and not has_learner:

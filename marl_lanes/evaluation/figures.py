@@ -1,7 +1,6 @@
 """Figures of a run (the paper's Figure 6, Figure 7 and Figure 8) and of the comparisons."""
 
 import csv
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.evaluation.tables import format_estimate
+from marl_lanes.files import write_atomically
 from marl_lanes.scenario import Scenario
 
 RUNNING_MEAN = 200
@@ -210,10 +210,5 @@ def _mark_optimum(axes: Any, optimal_return: float | None) -> None:
 
 def _save(figure: Figure, path: Path) -> None:
     """Write the figure completely or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        figure.savefig(temporary, dpi=120, format=path.suffix[1:])
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    kind = path.suffix[1:]
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120, format=kind))

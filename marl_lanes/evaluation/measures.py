@@ -78,10 +78,8 @@ def measure(
     """Every metric of one maneuver."""
     trace = maneuver.trace
     step = scenario.time_step
-    turning = trace["yaw_rate"] - trace["road_turn_rate"]
-    speed = trace["speed"]
+    turning, speed = trace["turning"], trace["speed"]
     lateral_acceleration = speed * turning
-    turning_before = trace["yaw_rate_before"] - trace["road_turn_rate_before"]
     returns = {name: float(trace[f"reward_{name}"].sum()) for name in STEERING_COSTS}
     is_completed = maneuver.outcome == Outcome.COMPLETED
     optimal = nan
@@ -103,7 +101,7 @@ def measure(
         peak_yaw_rate=_peak(turning),
         peak_lateral_acceleration=_peak(lateral_acceleration),
         peak_lateral_jerk=_peak_jerk(
-            trace, lateral_acceleration, speed * turning_before, LATERAL_JERK_WINDOW, step
+            trace, lateral_acceleration, speed * trace["turning_before"], LATERAL_JERK_WINDOW, step
         ),
         peak_total_lateral_acceleration=_peak(speed * trace["yaw_rate"]),
         peak_longitudinal_jerk=_peak_jerk(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from marl_lanes.evaluation.measures import STEERING_COSTS, ManeuverMetrics, measure
+from marl_lanes.evaluation.optimum import find_unminimised
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import Outcome
@@ -159,8 +160,15 @@ def _finite(values: Iterable[float]) -> list[float]:
     return [value for value in values if np.isfinite(value)]
 
 
-def summarise(measured: Sequence[ManeuverMetrics]) -> dict[str, Any]:
-    """The metrics over all maneuvers, the main one first; None if no maneuver defines it."""
+def summarise(
+    measured: Sequence[ManeuverMetrics], *, no_optimum: str | None = None
+) -> dict[str, Any]:
+    """The metrics over all maneuvers, the main one first; None if no maneuver defines it.
+
+    Args:
+        measured: of every maneuver.
+        no_optimum: why the maneuvers have no optimum, None if they have.
+    """
     averages = {key: _mean(map(each, measured)) for key, each in AVERAGES.items()}
     optimal = averages["mean_optimal_return"]
     returns = [row.return_ for row in measured if np.isfinite(row.optimal_return)]
@@ -170,6 +178,7 @@ def summarise(measured: Sequence[ManeuverMetrics]) -> dict[str, Any]:
         "success_rate": averages["success_rate"],
         "completion_rate": averages["completion_rate"],
         "cost_ratio": float(np.mean(returns)) / optimal if optimal else None,
+        "no_cost_ratio": no_optimum or (None if optimal else "no maneuver was completed"),
         **averages,
     }
     for name in _COMPLETED_PEAKS:
@@ -204,12 +213,17 @@ def evaluate(
     Args:
         maneuvers: of one policy on ``scenario``.
         scenario: scenario of the maneuvers.
-        with_optimum: also solve for the optimum of each completed maneuver.
+        with_optimum: also solve for the optimum of each completed maneuver, if the optimum
+            minimises every cost of the scenario's reward.
         progress: called after each maneuver with the number measured so far.
     """
+    unminimised = find_unminimised(scenario)
+    no_optimum = None if with_optimum else "the optimum was not computed"
+    if unminimised:
+        no_optimum = f"the optimum does not minimise {', '.join(unminimised)}"
     measured = []
     for count, maneuver in enumerate(maneuvers, 1):
-        measured.append(measure(maneuver, scenario, with_optimum=with_optimum))
+        measured.append(measure(maneuver, scenario, with_optimum=no_optimum is None))
         if progress is not None:
             progress(count)
-    return summarise(measured)
+    return summarise(measured, no_optimum=no_optimum)

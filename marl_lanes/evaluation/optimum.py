@@ -15,8 +15,12 @@ from marl_lanes.evaluation.linear_program import Program
 from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE, Replay
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.parameters import make_parameters
+from marl_lanes.traffic.roles.changer import CHANGER
 
 FloatArray = npt.NDArray[np.float64]
+
+MINIMISED = ("yaw_acceleration", "yaw_rate", "deviation")
+"""The terms of the reward whose cost is minimised."""
 
 MAX_EXTENSION = 20.0
 """[s] How much longer than the recorded maneuver the optimum may take."""
@@ -35,6 +39,16 @@ _MARGIN = 1e-7
 
 _MAX_ROUNDS = 25
 """Limit of linearizations; three or four are usual."""
+
+
+def find_unminimised(scenario: Scenario) -> list[str]:
+    """The steering costs that the scenario's reward charges, and that are not minimised here.
+
+    Where there is one, a maneuver's return and the optimum's are sums of different costs.
+    """
+    weighed = zip(CHANGER.terms, CHANGER.weights(scenario), strict=True)
+    charged = [term.name for term, weight in weighed if term.is_steering_cost and weight]
+    return [name for name in charged if name not in MINIMISED]
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ TRACE = np.dtype(
         ("yaw_before", "f8"),
         ("yaw_rate_before", "f8"),
         ("curvature", "f8"),
-        ("road_turn_rate_before", "f8"),
+        ("turning_before", "f8"),  # yaw rate relative to the road's turning
         ("acceleration_before", "f8"),
         ("follower_gap_before", "f8"),  # inf where there is none
         # After the step, in the maneuver frame.
@@ -55,7 +55,7 @@ TRACE = np.dtype(
         ("yaw", "f8"),
         ("yaw_rate", "f8"),
         ("yaw_acceleration", "f8"),
-        ("road_turn_rate", "f8"),
+        ("turning", "f8"),  # yaw rate relative to the road's turning
         ("position", "f8"),
         ("is_over_marking", "?"),  # the body is in the target lane
         ("is_in_origin", "?"),  # the body is in the origin lane
@@ -141,7 +141,7 @@ class _Recorder:
         rows["acceleration_before"] = cars["acceleration"]
         curvature, turn_rate = road_turning(cars, simulator.parameters.arcs)
         rows["curvature"] = direction * curvature
-        rows["road_turn_rate_before"] = direction * turn_rate
+        rows["turning_before"] = direction * (cars["yaw_rate"] - turn_rate)
         behind = agents["target_follower"]
         rows["follower_gap_before"] = self._gap(envs, cars, behind, is_ahead=False)
         without = accelerations_without_change(simulator.state, simulator.parameters)
@@ -162,7 +162,7 @@ class _Recorder:
         for name in ("yaw", "yaw_rate", "yaw_acceleration"):
             rows[name] = direction * cars[name]
         _, turn_rate = road_turning(cars, simulator.parameters.arcs)
-        rows["road_turn_rate"] = direction * turn_rate
+        rows["turning"] = direction * (cars["yaw_rate"] - turn_rate)
         target = agents["target_lane"]
         origin = agents["origin_lane"]
         rows["position"] = cars["position"]

@@ -58,6 +58,10 @@ class PaperMu(_YawAcceleration):
 
     needs = ("speed", "lateral_deviation", "yaw")
     initial_a_max = 0.25
+    initial_sensitivity = 0.31
+    """beta [s^2/m]."""
+    initial_time = 3.4
+    """T [s]."""
     min_time = 1.5
 
     def __init__(
@@ -66,8 +70,8 @@ class PaperMu(_YawAcceleration):
         super().__init__(name, features, box)
         initial = (
             self.initial_limit_logit(),
-            _inverse_softplus(0.31),
-            _inverse_softplus(3.4 - self.min_time),
+            _inverse_softplus(self.initial_sensitivity),
+            _inverse_softplus(self.initial_time - self.min_time),
         )
         # Three networks, for a_max, beta and T, with one output each.
         self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])

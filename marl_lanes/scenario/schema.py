@@ -23,6 +23,18 @@ from marl_lanes.scenario.fields import (
 from marl_lanes.scenario.followers import Followers
 from marl_lanes.scenario.road import Road, Vehicle
 
+MIN_KEEPING_SHARE = 0.14
+"""[rad/s] Least bound of lane keeping's yaw acceleration, of its pole."""
+
+MAX_KEEPING_STEP = 0.5
+"""[1] Largest pole of lane keeping times time step."""
+
+MAX_CARRIED_SHARE = 0.8
+"""[1] How far a curve may carry a vehicle off its lane's centre, of the room beside its body."""
+
+MAX_WARMUP = 3600.0
+"""[s]"""
+
 
 class Departures(Section):
     """How vehicles enter each lane."""
@@ -195,21 +207,23 @@ class Scenario(Section):
             raise ValueError(
                 f"command.lanes = {list(self.command_lanes)} must not name a lane twice"
             )
-        if self.warmup[1] > 3600.0:
-            raise ValueError(f"warmup = {list(self.warmup)} must be at most 3600 s")
+        if self.warmup[1] > MAX_WARMUP:
+            raise ValueError(f"warmup = {list(self.warmup)} must be at most {MAX_WARMUP:g} s")
         if self.horizon is not None and self.horizon < self.time_step:
             raise ValueError(
                 f"horizon = {self.horizon} must be at least time_step = {self.time_step}"
             )
-        if self.lane_keeping.pole * self.time_step > 0.5:
+        if self.lane_keeping.pole * self.time_step > MAX_KEEPING_STEP:
             raise ValueError(
-                f"lane_keeping.pole = {self.lane_keeping.pole} must be at most 0.5/time_step = "
-                f"{0.5 / self.time_step:.4g}: beyond that lane keeping is unstable"
+                f"lane_keeping.pole = {self.lane_keeping.pole} must be at most "
+                f"{MAX_KEEPING_STEP}/time_step = {MAX_KEEPING_STEP / self.time_step:.4g}: beyond "
+                "that lane keeping is unstable"
             )
-        if self.lane_keeping.max_yaw_acceleration < 0.14 * self.lane_keeping.pole:
+        least = MIN_KEEPING_SHARE * self.lane_keeping.pole
+        if self.lane_keeping.max_yaw_acceleration < least:
             raise ValueError(
                 f"lane_keeping.max_yaw_acceleration = {self.lane_keeping.max_yaw_acceleration} "
-                f"must be at least 0.14 pole = {0.14 * self.lane_keeping.pole:.4g}: below that "
+                f"must be at least {MIN_KEEPING_SHARE} pole = {least:.4g}: below that "
                 "lane keeping saturates and is unstable"
             )
         self._check_curves()
@@ -222,7 +236,7 @@ class Scenario(Section):
 
     def _check_curves(self) -> None:
         """Reject curves in which lane keeping would leave its lane."""
-        room = 0.8 * (self.road.lane_width - self.vehicle.width) / 2.0
+        room = MAX_CARRIED_SHARE * (self.road.lane_width - self.vehicle.width) / 2.0
         speeds = [self.departures.initial_speed[1], self.followers.external.max_speed]
         # Both factors apply to an adversarial driver that seeks a gap itself.
         factors = self.followers.adversarial.desired_speed_factor * self.gap.speed_factor

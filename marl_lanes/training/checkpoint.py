@@ -5,12 +5,12 @@ from pathlib import Path
 
 import torch
 
+from marl_lanes.files import write_atomically
 from marl_lanes.naf.checkpoint import FORMAT, Checkpoint, CheckpointError, read_checkpoint
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
-from marl_lanes.training.files import write_atomically
 
 _HIDDEN_SIZES = (64, 64)
 

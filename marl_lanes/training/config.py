@@ -11,7 +11,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
-from marl_lanes.training.files import write_atomically
+from marl_lanes.files import write_atomically
 
 CONFIG_FILE = "config.yaml"
 """File name of a run's configuration."""

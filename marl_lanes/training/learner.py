@@ -20,6 +20,7 @@ from torchrl.objectives import HardUpdate
 from tqdm import tqdm
 
 from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.files import write_json
 from marl_lanes.naf.joined import join_parameters
 from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.network import NAFNetwork
@@ -28,7 +29,6 @@ from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
-from marl_lanes.training.files import write_json
 from marl_lanes.training.interruptions import note_interruptions
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
@@ -273,7 +273,8 @@ class Learner:
 
     def _take_step(self, batch: TensorDictBase) -> Tensor:
         config = self.config
-        torch._foreach_zero_(self.gradients)
+        for gradient in self.gradients:
+            gradient.zero_()
         loss: Tensor = self.compute_loss(batch)["loss"]
         loss.backward()
         if config.optimizer.max_gradient_norm is not None:

@@ -8,8 +8,8 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
+from marl_lanes.files import copy_file, write_atomically, write_json
 from marl_lanes.training.config import CONFIG_FILE, ConfigError
-from marl_lanes.training.files import copy_file, write_atomically, write_json
 
 Value = float | int | str
 

@@ -2,16 +2,20 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from traces import maneuver, trace
 
 from marl_lanes import load_scenario
+from marl_lanes.evaluation import optimum
 from marl_lanes.evaluation.aftermath import Aftermath
 from marl_lanes.evaluation.measures import measure
 from marl_lanes.evaluation.metrics import AVERAGES, HARD_BRAKING, evaluate, summarise
+from marl_lanes.evaluation.optimum import find_unminimised
 from marl_lanes.traffic.machine.state import Fate, Outcome, Phase
+from marl_lanes.traffic.roles.changer import CHANGER
 
 TOUCH = {"max_deviation": 0.2, "max_lateral_speed": None, "max_yaw_rate": None}
 PAPER = load_scenario("paper", {"completion": TOUCH})
@@ -40,7 +44,7 @@ def test_peaks_are_relative_to_the_road():
     found = measured(
         speed=[10.0, 20.0, 30.0],
         yaw_rate=[0.05, -0.02, 0.03],
-        road_turn_rate=[0.02, 0.02, 0.02],
+        turning=[0.03, -0.04, 0.01],
         yaw_acceleration=[0.3, -0.45, 0.1],
     )
     # Yaw rate relative to the road: 0.03, -0.04, 0.01; times the speed: 0.3, -0.8, 0.3 m/s^2.
@@ -64,7 +68,7 @@ def test_peaks_are_relative_to_the_road():
     ],
 )
 def test_jerk_is_averaged_over_half_a_second(lateral, jerk):
-    found = measured(len(lateral), yaw_rate=np.asarray(lateral) / 20.0)
+    found = measured(len(lateral), turning=np.asarray(lateral) / 20.0)
     assert found.peak_lateral_jerk == pytest.approx(jerk)
 
 
@@ -88,8 +92,8 @@ def test_jerk_does_not_bridge_two_attempts():
     steps = [1, 2, 3, 40, 41, 42]
     columns = {
         "step": steps,
-        "yaw_rate": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
-        "yaw_rate_before": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
+        "turning": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
+        "turning_before": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
         "acceleration": [0.0, 0.0, 0.0, -3.0, -3.0, -3.0],
         "acceleration_before": [0.0, 0.0, 0.0, -2.5, -3.0, -3.0],
     }
@@ -321,6 +325,26 @@ def test_progress_counts_the_maneuvers():
     counts = []
     evaluate(sample(), PAPER, with_optimum=False, progress=counts.append)
     assert counts == [1, 2, 3, 4]
-    assert summarise([measure(one, PAPER, with_optimum=False) for one in sample()]) == evaluate(
+    measures = [measure(one, PAPER, with_optimum=False) for one in sample()]
+    no_optimum = "the optimum was not computed"
+    assert summarise(measures, no_optimum=no_optimum) == evaluate(
         sample(), PAPER, with_optimum=False
     )
+
+
+def test_no_cost_ratio_without_a_reason(monkeypatch):
+    """With a steering cost that the optimum does not minimise it would compare different costs."""
+    delay = next(term for term in CHANGER.terms if term.name == "delay")
+    terms = (*CHANGER.terms, delay._replace(name="jerk", is_steering_cost=True))
+    charged = load_scenario("paper", {"reward": {"delay_weight": 0.1}})
+    assert find_unminimised(charged) == []
+    monkeypatch.setattr(optimum, "CHANGER", replace(CHANGER, terms=terms))
+    assert find_unminimised(PAPER) == []
+    assert find_unminimised(charged) == ["jerk"]
+    found = evaluate(sample(), charged)
+    assert found["cost_ratio"] is found["mean_optimal_return"] is None
+    assert found["no_cost_ratio"] == "the optimum does not minimise jerk"
+    skipped = evaluate(sample(), PAPER, with_optimum=False)
+    assert skipped["no_cost_ratio"] == "the optimum was not computed"
+    assert evaluate([maneuver(trace(0))], PAPER)["no_cost_ratio"] == "no maneuver was completed"
+    assert evaluate(sample(), PAPER)["no_cost_ratio"] is None

@@ -18,7 +18,6 @@ from marl_lanes.training.checkpoint import (
     make_network,
     save_checkpoint,
 )
-from marl_lanes.training.files import write_atomically, write_json
 from marl_lanes.training.resume import read_state
 
 torch.set_num_threads(1)
@@ -297,45 +296,6 @@ def test_one_kind_of_agent_is_not_the_other(path, tmp_path):
 
 def test_checkpoint_errors_are_value_errors():
     assert issubclass(CheckpointError, ValueError)
-
-
-@pytest.mark.parametrize("partly", [False, True])
-def test_a_failed_write_leaves_the_old_file(tmp_path, partly):
-    file = tmp_path / "file.txt"
-    file.write_text("old", encoding="utf-8")
-
-    def fail(temporary):
-        if partly:
-            temporary.write_text("half", encoding="utf-8")
-        raise RuntimeError("disk full")
-
-    with pytest.raises(RuntimeError, match="disk full"):
-        write_atomically(file, fail)
-    assert file.read_text(encoding="utf-8") == "old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
-    with pytest.raises(RuntimeError, match="disk full"):
-        write_atomically(tmp_path / "new.txt", fail)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
-
-
-def test_a_write_replaces_the_old_file_at_once(tmp_path):
-    file = tmp_path / "file.txt"
-    file.write_text("old", encoding="utf-8")
-
-    def write(temporary):
-        temporary.write_text("new", encoding="utf-8")
-        assert temporary.parent == tmp_path
-        assert file.read_text(encoding="utf-8") == "old"
-
-    write_atomically(file, write)
-    assert file.read_text(encoding="utf-8") == "new"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
-
-
-def test_json_holds_no_nan(tmp_path):
-    with pytest.raises(ValueError, match="JSON"):
-        write_json(tmp_path / "a.json", {"value": float("nan")})
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_cascades_network_knows_the_cost_of_the_yaw_acceleration():
