@@ -73,7 +73,6 @@ STATISTICS = {
     "max_follower_braking_all",
 }
 PAPER = load_scenario("paper")
-FOLLOWERS_NETWORK = make_network(PAPER, "mlp", [8], role=FOLLOWER)
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
 )

@@ -28,7 +28,6 @@ from marl_lanes.training.checkpoint import (
 from marl_lanes.training.config import write_config
 
 PAPER = load_scenario("paper")
-FOLLOWERS_NETWORK = make_network(PAPER, "mlp", [8], role=FOLLOWER)
 collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
 )
