@@ -1,4 +1,4 @@
-"""What happens on the roads is what was recorded, field by field."""
+"""The trajectories are equal to the recorded ones, in every field."""
 
 import json
 import os
@@ -12,7 +12,7 @@ RECORDED = json.loads(golden.FILE.read_text(encoding="utf-8"))
 
 pytestmark = pytest.mark.skipif(
     golden.fingerprint() != RECORDED["fingerprint"],
-    reason="recorded where sin, cos or pow round the last bit differently",
+    reason="recorded on a machine where sin, cos or pow differ in the last bit",
 )
 
 
@@ -21,7 +21,7 @@ def test_every_scenario_is_recorded():
 
 
 @pytest.mark.parametrize("name", golden.SCENARIOS)
-def test_the_roads_are_those_recorded(name):
+def test_trajectories_are_those_recorded(name):
     found = golden.record(name, **golden.LONG)
 
     recorded = RECORDED["long"][name]
@@ -29,7 +29,7 @@ def test_the_roads_are_those_recorded(name):
     assert [field for field in found if found[field] != recorded[field]] == []
 
 
-def test_the_same_where_nothing_is_compiled():
+def test_interpreted_kernels_give_the_same_trajectories():
     names = ["learned", "mixed", "curved"]
 
     result = subprocess.run(
