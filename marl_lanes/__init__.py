@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from marl_lanes.naf.loss import NAFLoss
     from marl_lanes.naf.network import NAFNetwork
     from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
-    from marl_lanes.traffic.external import (
+    from marl_lanes.traffic.roles.external import (
         FOLLOWER_COLUMNS,
         FollowerError,
         FollowerPolicy,
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from marl_lanes.traffic.simulator import Simulator
 
 _HOME_OF = {
-    "FOLLOWER_COLUMNS": "marl_lanes.traffic.external",
-    "FollowerError": "marl_lanes.traffic.external",
-    "FollowerPolicy": "marl_lanes.traffic.external",
+    "FOLLOWER_COLUMNS": "marl_lanes.traffic.roles.external",
+    "FollowerError": "marl_lanes.traffic.roles.external",
+    "FollowerPolicy": "marl_lanes.traffic.roles.external",
     "LaneChangeEnv": "marl_lanes.envs.batched",
     "NAFLoss": "marl_lanes.naf.loss",
     "NAFNetwork": "marl_lanes.naf.network",
@@ -37,7 +37,7 @@ _HOME_OF = {
     "list_scenarios": "marl_lanes.scenario",
     "load_scenario": "marl_lanes.scenario",
     "parallel_env": "marl_lanes.envs.parallel",
-    "register_follower": "marl_lanes.traffic.external",
+    "register_follower": "marl_lanes.traffic.roles.external",
 }
 
 __all__ = [

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from philox import Random
 
-from marl_lanes.traffic.state import CollisionKind, Disposition, Outcome, Phase
+from marl_lanes.traffic.machine.state import CollisionKind, Disposition, Outcome, Phase
 
 KEEPING_MIN_SPEED = 1.0
 CONTACT_GAP = 0.01

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from reference import Car, Road
 
-from marl_lanes.traffic.state import Disposition, Outcome, Phase
+from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 
 
 def damped_actions(simulator, noise=0.0, generator=None):

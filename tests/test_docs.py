@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from marl_lanes import Scenario, load_scenario
 from marl_lanes.evaluation.metrics import summarise
-from marl_lanes.traffic.observation import FEATURES
+from marl_lanes.traffic.roles.observation import FEATURES
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
 from marl_lanes.training.config import TrainingConfig
 
@@ -136,7 +136,7 @@ def lane_change():
     """Metrics of one maneuver, of which only the names matter."""
     from marl_lanes.evaluation.measures import AftermathMetrics, ManeuverMetrics
     from marl_lanes.evaluation.safety import SafetyMetrics
-    from marl_lanes.traffic.state import Outcome
+    from marl_lanes.traffic.machine.state import Outcome
 
     def zeros(kind):
         return {field.name: 0.0 for field in dataclasses.fields(kind)}

@@ -4,7 +4,7 @@ import numpy as np
 
 from marl_lanes.evaluation.aftermath import Aftermath
 from marl_lanes.evaluation.rollout import TRACE, Maneuver
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.traffic.machine.state import Outcome, Phase
 
 _SIDES = ("leader", "follower", "origin_leader", "origin_follower")
 

@@ -30,7 +30,7 @@ from marl_lanes.evaluation.rollout import Policy, check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_crossplay
 from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
-from marl_lanes.traffic.external import FollowerPolicy
+from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.training.checkpoint import load_checkpoint, make_follower_network
 from marl_lanes.training.config import (
     CONFIG_FILE,

@@ -15,12 +15,12 @@ from torchrl.envs import EnvBase
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.scenario import Scenario, load_scenario
-from marl_lanes.traffic.external import FollowerPolicy
-from marl_lanes.traffic.observation import feature_bounds, follower_feature_bounds
+from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
 from marl_lanes.traffic.readout import Readout, read_out
+from marl_lanes.traffic.roles.external import FollowerPolicy
+from marl_lanes.traffic.roles.observation import feature_bounds, follower_feature_bounds
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Outcome
 
 GROUP = "changers"
 """The group of the lane changers."""

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.followers import LEARNED
-from marl_lanes.traffic.external import FOLLOWER_COLUMNS, FollowerPolicy, registered_follower
 from marl_lanes.traffic.parameters import follower_action_bounds
+from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS, FollowerPolicy, registered_follower
 
 if TYPE_CHECKING:
     from marl_lanes.naf.network import NAFNetwork

@@ -13,11 +13,11 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
-from marl_lanes.traffic.external import FollowerPolicy
-from marl_lanes.traffic.observation import feature_bounds, follower_feature_bounds
+from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
 from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
+from marl_lanes.traffic.roles.external import FollowerPolicy
+from marl_lanes.traffic.roles.observation import feature_bounds, follower_feature_bounds
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import NONE, Outcome, Phase
 
 STATE_COLUMNS = (
     "position",

@@ -6,8 +6,8 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.traffic.machine.state import Fate
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Fate
 
 WATCHED_TIME = 10.0
 """[s] How long a vehicle is watched after it has completed."""

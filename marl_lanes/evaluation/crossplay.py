@@ -10,7 +10,7 @@ from marl_lanes.evaluation.measures import measure
 from marl_lanes.evaluation.metrics import AVERAGES, summarise
 from marl_lanes.evaluation.rollout import Maneuver, Policy, check_episodes, run_maneuvers
 from marl_lanes.scenario import Scenario, load_scenario
-from marl_lanes.traffic.external import FollowerPolicy, choose_policies
+from marl_lanes.traffic.roles.external import FollowerPolicy, choose_policies
 
 RATES = (
     "success_rate",

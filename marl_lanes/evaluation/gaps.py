@@ -12,8 +12,8 @@ from marl_lanes.evaluation.intervals import estimate_mean
 from marl_lanes.evaluation.rollout import Maneuver, Policy
 from marl_lanes.evaluation.safety import entry_row
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.external import FollowerPolicy
-from marl_lanes.traffic.state import NONE, Phase
+from marl_lanes.traffic.machine.state import NONE, Phase
+from marl_lanes.traffic.roles.external import FollowerPolicy
 
 NEAR_GAP = 30.0
 """[m] A follower is near where the gap at the engagement is below this."""

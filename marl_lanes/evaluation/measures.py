@@ -11,7 +11,7 @@ from marl_lanes.evaluation.optimum import optimal_lane_change
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.evaluation.safety import SafetyMetrics, attempts, hardest_braking, measure_safety
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.traffic.machine.state import Outcome, Phase
 
 LATERAL_JERK_WINDOW = 0.5
 """[s] Lateral jerk is averaged over this time, UN R79."""

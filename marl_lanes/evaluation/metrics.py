@@ -10,7 +10,7 @@ import numpy as np
 from marl_lanes.evaluation.measures import ManeuverMetrics, measure
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.state import Outcome
+from marl_lanes.traffic.machine.state import Outcome
 
 HARD_BRAKING = (2, 4, 8)
 """[m/s^2] Shares of changes in which someone brakes so hard, or harder, are reported."""

@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from marl_lanes.traffic.compiled import compiled
-from marl_lanes.traffic.kinematics import integrate, road_turn_rate
+from marl_lanes.traffic.machine.compiled import compiled
+from marl_lanes.traffic.machine.state import VEHICLE, structure
 from marl_lanes.traffic.parameters import Parameters
-from marl_lanes.traffic.state import VEHICLE, structure
+from marl_lanes.traffic.road.geometry import road_turn_rate
+from marl_lanes.traffic.road.motion import integrate
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from marl_lanes.envs.followers import find_policies
 from marl_lanes.evaluation.aftermath import Aftermath, Watch
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.traffic.counterfactual import accelerations_without_change
-from marl_lanes.traffic.external import FollowerPolicy
-from marl_lanes.traffic.kinematics import road_turning
+from marl_lanes.traffic.machine.state import NONE, CollisionKind, Outcome, Phase
+from marl_lanes.traffic.road.geometry import road_turning
+from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import NONE, CollisionKind, Outcome, Phase
 
 Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 """Observations of N acting agents, (N, F), to their actions, (N, D)."""

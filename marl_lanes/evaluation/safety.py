@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.state import Phase
+from marl_lanes.traffic.machine.state import Phase
 
 CRITICAL_TIME_TO_COLLISION = 1.5
 """TTC* [s] of TET and TIT."""

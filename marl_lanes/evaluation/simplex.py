@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from marl_lanes.traffic.compiled import compiled
+from marl_lanes.traffic.machine.compiled import compiled
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -44,7 +44,7 @@ def deviation_in_curves(
 
     The first is the peak of the linear response of three poles p, to a step and to a ramp. The
     second, where the yaw acceleration is at its bound for most of the time, has its factor from
-    simulations (tests/scenarios/test_curves.py holds it against others). From the curve before,
+    simulations (tests/scenario/test_curves.py holds it against others). From the curve before,
     where it bends the other way and is near, the change is its curvature more, at the lower speed.
 
     Args:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.traffic.compiled import compiled, entry_point, internal
-from marl_lanes.traffic.followers import comfortable_in_curves, drive_alone
-from marl_lanes.traffic.neighbors import is_body_in
+from marl_lanes.traffic.driving.dispositions import comfortable_in_curves, drive_alone
+from marl_lanes.traffic.machine.compiled import compiled, entry_point, internal
+from marl_lanes.traffic.machine.state import AGENT, NONE, ROAD, VEHICLE, Phase, State, structure
 from marl_lanes.traffic.parameters import ARC, CONSTANTS, PROFILE, Parameters
-from marl_lanes.traffic.state import AGENT, NONE, ROAD, VEHICLE, Phase, State, structure
+from marl_lanes.traffic.road.geometry import is_body_in
 
 _ENGAGED = int(Phase.ENGAGED)
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario.followers import SCRIPTED
 from marl_lanes.scenario.schema import Scenario
-from marl_lanes.traffic.observation import feature_codes
-from marl_lanes.traffic.state import Records, Table, structure
+from marl_lanes.traffic.machine.state import Records, Table, structure
+from marl_lanes.traffic.roles.observation import feature_codes
 
 NO_BOUND = np.inf
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.traffic.compiled import compiled, entry_point
-from marl_lanes.traffic.state import AGENT, Outcome, Phase, Records, structure
+from marl_lanes.traffic.machine.compiled import compiled, entry_point
+from marl_lanes.traffic.machine.state import AGENT, Outcome, Phase, Records, structure
 
 _ABSENT = int(Phase.ABSENT)
 _ENGAGED = int(Phase.ENGAGED)

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.followers import LEARNED
-from marl_lanes.traffic.compiled import entry_point
-from marl_lanes.traffic.external import FollowerPolicy, ask_policy, choose_policies
-from marl_lanes.traffic.observation import FOLLOWER_FEATURES
+from marl_lanes.traffic.machine.compiled import entry_point
+from marl_lanes.traffic.machine.state import Outcome, Phase, Records, allocate
 from marl_lanes.traffic.parameters import make_parameters
-from marl_lanes.traffic.state import Outcome, Phase, Records, allocate
+from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policy, choose_policies
+from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
 from marl_lanes.traffic.step import RESET, SKIP, STEP, run
 
 _ROADS_PER_THREAD = 1024

@@ -6,36 +6,36 @@ Every array argument is one road's row of the state, or a parameter of the scena
 
 from typing import Any
 
-from marl_lanes.traffic.collisions import (
-    COLLIDES,
+from marl_lanes.traffic.command.outcome import find_outcome
+from marl_lanes.traffic.command.phases import (
+    change_phase,
+    clear_agent,
+    clear_ended,
+    end_commands,
+    give_commands,
+    is_steering,
+    lateral_deviation,
+)
+from marl_lanes.traffic.driving.acceleration import accelerate
+from marl_lanes.traffic.driving.yielding import move_over
+from marl_lanes.traffic.flow.collisions import (
     LEAVES,
     STRAYS,
     detect_collisions,
     free_slots,
     remove_vehicles,
 )
-from marl_lanes.traffic.compiled import compiled, internal
-from marl_lanes.traffic.departures import clear_road, depart
-from marl_lanes.traffic.followers import accelerate
-from marl_lanes.traffic.kinematics import integrate, keep_lane, road_turn_rate
-from marl_lanes.traffic.maneuver import (
-    change_phase,
-    clear_agent,
-    clear_ended,
-    end_commands,
-    give_commands,
-    has_arrived,
-    is_off_road,
-    is_steering,
-    lateral_deviation,
-)
-from marl_lanes.traffic.neighbors import find_agent_neighbors, find_rank, insert_by_position
-from marl_lanes.traffic.observation import observe
-from marl_lanes.traffic.pairing import clear_follower, pair
-from marl_lanes.traffic.prefetch import prefetch
-from marl_lanes.traffic.reward import reward, sum_terms
-from marl_lanes.traffic.state import NONE, Outcome, Phase
-from marl_lanes.traffic.yielding import move_over
+from marl_lanes.traffic.flow.departures import clear_road, depart
+from marl_lanes.traffic.machine.compiled import compiled, internal
+from marl_lanes.traffic.machine.prefetch import prefetch
+from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
+from marl_lanes.traffic.road.geometry import is_off_road, road_turn_rate
+from marl_lanes.traffic.road.lane_keeping import keep_lane
+from marl_lanes.traffic.road.motion import integrate
+from marl_lanes.traffic.road.neighbors import find_agent_neighbors, find_rank, insert_by_position
+from marl_lanes.traffic.roles.observation import observe
+from marl_lanes.traffic.roles.pairing import clear_follower, pair
+from marl_lanes.traffic.roles.reward import reward, sum_terms
 
 STEP = 0
 SKIP = 1
@@ -83,24 +83,6 @@ def move(
         elif car.position >= car.command_position:
             is_command_due = True
     return is_leaving, is_command_due
-
-
-@internal
-def find_outcome(
-    agent: Any, car: Any, deviation: float, turning: float, road: Any, constants: Any
-) -> int:
-    """How the command ends in this step, if it does."""
-    if car.fate == COLLIDES:
-        return _COLLISION
-    if car.fate == STRAYS:
-        return _OFF_ROAD
-    if agent.phase == _ENGAGED and has_arrived(deviation, car, turning, constants):
-        return _COMPLETED
-    if car.fate == LEAVES:
-        return _MISSED
-    if road.step == constants.horizon_steps > 0:
-        return _HORIZON
-    return _UNFINISHED
 
 
 @internal

@@ -8,8 +8,8 @@ import torch
 from marl_lanes.naf.checkpoint import FORMAT, Checkpoint, CheckpointError, read_checkpoint
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.observation import FOLLOWER_FEATURES, feature_scaling
 from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
+from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES, feature_scaling
 from marl_lanes.training.files import write_atomically
 
 _HIDDEN_SIZES = (64, 64)

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.envs.utils import check_env_specs
 
 from marl_lanes import LaneChangeEnv, ScenarioError
-from marl_lanes.traffic.state import Outcome
+from marl_lanes.traffic.machine.state import Outcome
 
 torch.set_num_threads(1)
 

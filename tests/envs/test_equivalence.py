@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 
 from marl_lanes import LaneChangeEnv, parallel_env
-from marl_lanes.traffic.state import Outcome
+from marl_lanes.traffic.machine.state import Outcome
 
 torch.set_num_threads(1)
 

@@ -12,9 +12,9 @@ from tensordict import TensorDict
 from marl_lanes import LaneChangeEnv, env, load_scenario, parallel_env
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.naf.checkpoint import CheckpointError
-from marl_lanes.traffic.external import FOLLOWER_COLUMNS
-from marl_lanes.traffic.observation import FOLLOWER_FEATURES
-from marl_lanes.traffic.state import Phase
+from marl_lanes.traffic.machine.state import Phase
+from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
+from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
 from marl_lanes.training.checkpoint import make_follower_network, make_network, save_checkpoint
 
 torch.set_num_threads(1)

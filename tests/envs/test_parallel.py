@@ -10,7 +10,7 @@ import torch
 
 from marl_lanes import ScenarioError, env, list_scenarios, parallel_env
 from marl_lanes.envs.parallel import STATE_COLUMNS
-from marl_lanes.traffic.state import NONE, Outcome, Phase
+from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
 
 with warnings.catch_warnings():
     # Where pygame is installed, PettingZoo's tests import one of its games in a deprecated way.

@@ -12,7 +12,7 @@ from marl_lanes.evaluation.aftermath import Aftermath, Watch
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import TRACE, Maneuver, run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy
-from marl_lanes.traffic.state import AGENT, ROAD, VEHICLE, Fate, Outcome, structure
+from marl_lanes.traffic.machine.state import AGENT, ROAD, VEHICLE, Fate, Outcome, structure
 from marl_lanes.training.checkpoint import make_network
 
 torch.set_num_threads(1)

@@ -13,7 +13,7 @@ from marl_lanes.evaluation.figures import (
     draw_training,
 )
 from marl_lanes.evaluation.rollout import TRACE, Maneuver
-from marl_lanes.traffic.state import Outcome
+from marl_lanes.traffic.machine.state import Outcome
 
 PNG = b"\x89PNG\r\n\x1a\n"
 NAMES = {"loss.png", "returns.png", "saved_models.png"}

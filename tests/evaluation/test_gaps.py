@@ -10,7 +10,7 @@ from marl_lanes.evaluation import gaps
 from marl_lanes.evaluation.crossplay import Pair
 from marl_lanes.evaluation.gaps import NEAR_GAP, compare_followers, first_attempt
 from marl_lanes.evaluation.rollout import TRACE, Maneuver, run_maneuvers
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.traffic.machine.state import Outcome, Phase
 
 BUSY = load_scenario(
     "paper",

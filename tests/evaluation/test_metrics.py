@@ -11,7 +11,7 @@ from marl_lanes import load_scenario
 from marl_lanes.evaluation.aftermath import Aftermath
 from marl_lanes.evaluation.measures import measure
 from marl_lanes.evaluation.metrics import AVERAGES, HARD_BRAKING, evaluate, summarise
-from marl_lanes.traffic.state import Fate, Outcome, Phase
+from marl_lanes.traffic.machine.state import Fate, Outcome, Phase
 
 TOUCH = {"max_deviation": 0.2, "max_lateral_speed": None, "max_yaw_rate": None}
 PAPER = load_scenario("paper", {"completion": TOUCH})

@@ -12,10 +12,10 @@ from marl_lanes.evaluation.optimum import Optimum, optimal_lane_change
 from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE, Replay
 from marl_lanes.evaluation.simplex import minimise
 from marl_lanes.scenario import Scenario, load_scenario
-from marl_lanes.traffic.kinematics import curvature_at
+from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.parameters import make_parameters
+from marl_lanes.traffic.road.geometry import curvature_at
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Outcome
 
 TIME_STEP = 0.1
 LANE_WIDTH = 3.75

@@ -10,7 +10,7 @@ from marl_lanes.evaluation.policies import (
     make_tuned_cascade_policy,
 )
 from marl_lanes.evaluation.rollout import run_maneuvers
-from marl_lanes.traffic.state import Outcome
+from marl_lanes.traffic.machine.state import Outcome
 
 PAPER = load_scenario("paper")
 # A waiting lane changer that keeps its lane has the target's centre a lane's width away.

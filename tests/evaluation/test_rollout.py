@@ -9,7 +9,7 @@ from marl_lanes.evaluation.measures import measure
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.traffic.machine.state import Outcome, Phase
 from marl_lanes.training.checkpoint import make_network
 
 torch.set_num_threads(1)

@@ -8,7 +8,7 @@ from traces import trace
 
 from marl_lanes import load_scenario
 from marl_lanes.evaluation.safety import attempts, entry_row, measure_safety, rss_distance
-from marl_lanes.traffic.state import Phase
+from marl_lanes.traffic.machine.state import Phase
 
 PAPER = load_scenario("paper")
 LENGTH = PAPER.vehicle.length

@@ -8,7 +8,7 @@ from staging import command, damped_actions, stage
 
 from marl_lanes import Simulator, load_scenario
 from marl_lanes.traffic.counterfactual import accelerations_without_change
-from marl_lanes.traffic.state import Phase
+from marl_lanes.traffic.machine.state import Phase
 
 PAPER = load_scenario("paper")
 V0, A, B = 30.0, 2.0, 1.5

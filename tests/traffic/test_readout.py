@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from marl_lanes.traffic.machine.state import AGENT, Outcome, Phase, structure
 from marl_lanes.traffic.readout import read_out
-from marl_lanes.traffic.state import AGENT, Outcome, Phase, structure
 
 
 @pytest.mark.parametrize("acts_waiting", [False, True])

@@ -9,10 +9,10 @@ from reference import FOLLOWER_TERMS, SCRIPTED, Road
 from staging import command, damped_actions, stage
 
 from marl_lanes.scenario import list_scenarios
-from marl_lanes.traffic.external import FOLLOWER_COLUMNS
-from marl_lanes.traffic.observation import FEATURES, feature_bounds, follower_feature_bounds
+from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
+from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
+from marl_lanes.traffic.roles.observation import FEATURES, feature_bounds, follower_feature_bounds
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Disposition, Outcome, Phase
 
 EVERY_FEATURE = {"features": [feature.name for feature in FEATURES]}
 LOW, HIGH = feature_bounds(EVERY_FEATURE["features"])

@@ -12,8 +12,8 @@ import pytest
 from staging import command, damped_actions, stage
 
 from marl_lanes.traffic import state as tables
+from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Phase
 
 MIXED = {
     "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from staging import command, damped_actions, stage
 
+from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.traffic.state import Disposition, Outcome, Phase
 
 BUSY = {
     "road": {"num_lanes": 5, "length": 500.0},

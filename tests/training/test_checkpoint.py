@@ -11,7 +11,7 @@ from marl_lanes import load_scenario
 from marl_lanes.envs.followers import load_follower
 from marl_lanes.naf.checkpoint import FORMAT, CheckpointError, greedy_policy, read_checkpoint
 from marl_lanes.naf.network import NAFNetwork
-from marl_lanes.traffic.observation import FOLLOWER_FEATURES
+from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
     make_follower_network,

@@ -8,7 +8,7 @@ from torch import nn
 from torchrl.collectors import Collector
 
 from marl_lanes import LaneChangeEnv
-from marl_lanes.traffic.state import Outcome, Phase
+from marl_lanes.traffic.machine.state import Outcome, Phase
 from marl_lanes.training.transitions import LivePolicy, finished_maneuvers, live_transitions
 
 torch.set_num_threads(1)

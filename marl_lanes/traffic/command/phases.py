@@ -1,0 +1,139 @@
+"""The command's life: given, waiting, engaged, aborting, and how it ends.
+
+waiting: lane keeping steers, the gap selector looks at the target lane. engaged: the agent steers
+toward the target lane. aborting: the agent steers back to the origin lane, then waits again.
+"""
+
+import math
+from typing import Any
+
+from marl_lanes.traffic.command.gap import is_target_gap_safe
+from marl_lanes.traffic.command.outcome import has_arrived
+from marl_lanes.traffic.machine.compiled import compiled, internal
+from marl_lanes.traffic.machine.random import uniform
+from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
+from marl_lanes.traffic.road.geometry import is_body_in, lane_centre
+
+_ABSENT = int(Phase.ABSENT)
+_WAITING = int(Phase.WAITING)
+_ENGAGED = int(Phase.ENGAGED)
+_ABORTING = int(Phase.ABORTING)
+_UNFINISHED = int(Outcome.UNFINISHED)
+_COMPLETED = int(Outcome.COMPLETED)
+
+
+@internal
+def is_steering(agent: Any) -> bool:
+    """Whether the agent's action counts: engaged or aborting."""
+    return bool(agent.phase == _ENGAGED or agent.phase == _ABORTING)
+
+
+@compiled
+def lateral_deviation(agent: Any, car: Any, constants: Any) -> float:
+    """Distance to the reference lane's centre [m], positive toward the target lane.
+
+    The reference is the origin lane while aborting, else the target lane: a waiting agent already
+    sees the change that lies before it.
+    """
+    lane = agent.origin_lane if agent.phase == _ABORTING else agent.target_lane
+    distance = lane_centre(lane, constants.lane_width) - car.lateral_position
+    return float(agent.direction * distance)
+
+
+@internal
+def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: Any) -> None:
+    """Command middle-lane vehicles that reach their command position, each once.
+
+    Where no agent slot is free the decision waits for one.
+    """
+    for rank in range(road.num_vehicles):
+        slot = order[rank]
+        car = vehicles[slot]
+        # Who is moving over decides afterwards.
+        if car.position < car.command_position or car.moving_over != 0:
+            continue
+        is_last_step = road.step == constants.horizon_steps > 0
+        is_over = road.is_done or is_last_step or road.num_commands == constants.num_agents > 0
+        if road.step < 0 or is_over or not (constants.command_lanes >> car.lane) & 1:
+            car.command_position = math.inf
+            continue
+        index = 0
+        while index < agents.shape[0] and agents[index].vehicle != NONE:
+            index += 1
+        if index == agents.shape[0]:
+            return
+        car.command_position = math.inf
+        if uniform(road, 0.0, 1.0) >= constants.command_probability:
+            continue
+        agent = agents[index]
+        agent.direction = 1 if uniform(road, 0.0, 1.0) < 0.5 else -1
+        agent.vehicle = slot
+        agent.command = road.num_commands
+        agent.phase = _WAITING
+        agent.origin_lane = car.lane
+        agent.target_lane = car.lane + agent.direction
+        agent.num_aborts = 0
+        agent.born_step = road.step
+        agent.engaged_steps = 0
+        agent.episode_reward = 0.0
+        car.agent = index
+        road.num_commands += 1
+        road.num_live += 1
+
+
+@internal
+def change_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, constants: Any) -> None:
+    """Engage, abort or return to waiting, by the gap selector and the vehicle's place."""
+    car = vehicles[agent.vehicle]
+    if agent.phase == _WAITING:
+        if is_target_gap_safe(agent, vehicles, profiles, constants):
+            agent.phase = _ENGAGED
+    elif agent.phase == _ENGAGED:
+        is_over_marking = is_body_in(car, agent.target_lane)
+        if not is_over_marking and not is_target_gap_safe(agent, vehicles, profiles, constants):
+            agent.phase = _ABORTING
+            agent.num_aborts += 1
+    elif has_arrived(lateral_deviation(agent, car, constants), car, turning, constants):
+        agent.phase = _WAITING
+
+
+@internal
+def end_commands(road: Any, vehicles: Any, agents: Any) -> None:
+    """End the commands that have an outcome; their slots are free again from the next step on."""
+    for index in range(agents.shape[0]):
+        agent = agents[index]
+        if agent.phase == _ABSENT or agent.outcome == _UNFINISHED:
+            continue
+        car = vehicles[agent.vehicle]
+        if agent.outcome == _COMPLETED:
+            car.lane = agent.target_lane
+        agent.phase = _ABSENT
+        car.agent = NONE
+        road.num_live -= 1
+        road.num_ended += 1
+
+
+@internal
+def clear_ended(road: Any, agents: Any, observations: Any) -> None:
+    """Free the slots of the commands that ended in the step before."""
+    if road.num_ended == 0:
+        return
+    road.num_ended = 0
+    for index in range(agents.shape[0]):
+        agent = agents[index]
+        if agent.outcome != _UNFINISHED:
+            clear_agent(agent)
+            observations[index, :] = 0.0
+
+
+@internal
+def clear_agent(agent: Any) -> None:
+    """Empty an agent slot; the serial number of its last command stays readable."""
+    agent.vehicle = NONE
+    agent.phase = _ABSENT
+    agent.outcome = _UNFINISHED
+    agent.leader = agent.follower = NONE
+    agent.target_leader = agent.target_follower = NONE
+    agent.reward = agent.reward_acceleration = agent.reward_yaw_rate = 0.0
+    agent.reward_deviation = agent.reward_failure = 0.0
+    agent.reward_delay = agent.reward_longitudinal = agent.car_following = 0.0

@@ -1,0 +1,156 @@
+"""Longitudinal acceleration of every vehicle, in one sweep from the front of the road."""
+
+from typing import Any
+
+from marl_lanes.traffic.driving.action import drive_by_action
+from marl_lanes.traffic.driving.dispositions import comfortable_in_curves, drive_alone, drive_among
+from marl_lanes.traffic.driving.gap_seeking import desired_speed_of, seek_or_hold
+from marl_lanes.traffic.following.car_following import follow
+from marl_lanes.traffic.following.idm import free_road_term, idm_acceleration
+from marl_lanes.traffic.machine.compiled import internal
+from marl_lanes.traffic.machine.prefetch import prefetch
+from marl_lanes.traffic.machine.state import NONE, Phase
+from marl_lanes.traffic.road.geometry import is_body_in
+from marl_lanes.traffic.road.motion import attainable
+from marl_lanes.traffic.road.neighbors import find_rank
+
+_ENGAGED = int(Phase.ENGAGED)
+
+_SPARE_SLOTS = 4
+"""Vehicle slots beyond the number of vehicles that are prefetched."""
+
+
+@internal
+def car_following(
+    agent: Any,
+    order: Any,
+    count: int,
+    vehicles: Any,
+    agents: Any,
+    profiles: Any,
+    arcs: Any,
+    constants: Any,
+) -> float:
+    """What car following would do with the agent's vehicle in the present state [m/s^2].
+
+    Its leaders are the agent's neighbors; the disposition of its driver does not enter.
+    """
+    car = vehicles[agent.vehicle]
+    profile = profiles[car.profile]
+    limit, headway, scale = profile.max_acceleration, profile.time_headway, profile.braking_scale
+    rank = find_rank(agent.vehicle, order)
+    seeking, holding = seek_or_hold(
+        rank, car, agent, order, count, vehicles, agents, profiles, constants
+    )
+    desired_speed = desired_speed_of(car, agent, seeking, constants)
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    acceleration = min(idm_acceleration(limit, free_road, 0.0, constants.is_sum_form), seeking)
+    if agent.leader > NONE and is_body_in(car, agent.origin_lane):
+        front = vehicles[agent.leader]
+        toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
+        acceleration = min(acceleration, toward)
+    is_changing = agent.phase == _ENGAGED or is_body_in(car, agent.target_lane)
+    if agent.target_leader > NONE and is_changing:
+        front = vehicles[agent.target_leader]
+        toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
+        acceleration = min(acceleration, max(toward, holding))
+    acceleration = min(acceleration, comfortable_in_curves(car, profile, arcs, constants))
+    return float(attainable(acceleration, car, constants))
+
+
+@internal
+def accelerate(
+    road: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    followers: Any,
+    actions: Any,
+    follower_actions: Any,
+    profiles: Any,
+    arcs: Any,
+    constants: Any,
+    every_vehicle: Any,
+    after: int,
+) -> None:
+    """Set every vehicle's acceleration, not below the physical braking limit.
+
+    Car following, unless an agent's second action or an external follower's action stands for it.
+
+    One sweep from the front of the road to its rear, in which each lane remembers the vehicle last
+    seen in it: the leader of the next one. Meanwhile the vehicles of the road ``after`` are
+    prefetched from ``every_vehicle``, (E, V).
+    """
+    for lane in range(lanes.shape[0]):
+        lanes[lane].nearest = NONE
+        lanes[lane].nearest_engaged = NONE
+    size = vehicles.itemsize
+    for rank in range(road.num_vehicles):
+        prefetch(every_vehicle, after, rank * size, size)
+        slot = order[rank]
+        car = vehicles[slot]
+        profile = profiles[car.profile]
+        lane = car.lane_low
+        is_alone = lane == car.lane_high and car.changer == NONE and car.agent == NONE
+        if is_alone and car.moving_over == 0:
+            # Most vehicles: nothing else can hold for them.
+            acceleration = drive_alone(car, profile, lanes[lane].nearest, vehicles, constants)
+            if arcs.shape[0] > 0:
+                allowed = comfortable_in_curves(car, profile, arcs, constants)
+                acceleration = min(acceleration, allowed)
+            car.acceleration = max(acceleration, -constants.max_braking)
+            lanes[lane].nearest = slot
+            continue
+        acceleration = drive_among(
+            rank, car, lanes, vehicles, order, road.num_vehicles, agents, profiles, constants
+        )
+        if arcs.shape[0] > 0:
+            allowed = comfortable_in_curves(car, profile, arcs, constants)
+            acceleration = min(acceleration, allowed)
+        if car.agent > NONE and constants.has_longitudinal:
+            agents[car.agent].car_following = attainable(acceleration, car, constants)
+            wanted = actions[car.agent, 1]
+            acceleration = drive_by_action(
+                car,
+                profile,
+                wanted,
+                constants.longitudinal_max_acceleration,
+                constants.longitudinal_max_braking,
+                constants.longitudinal_max_speed,
+                True,
+                lanes,
+                vehicles,
+                agents,
+                arcs,
+                constants,
+            )
+        elif car.changer > NONE and constants.num_external > 0:
+            index = vehicles[car.changer].agent
+            if followers[index].vehicle == slot:
+                wanted = follower_actions[index, 0]
+                acceleration = drive_by_action(
+                    car,
+                    profile,
+                    wanted,
+                    constants.external_max_acceleration,
+                    constants.external_max_braking,
+                    constants.external_max_speed,
+                    constants.is_external_guarded,
+                    lanes,
+                    vehicles,
+                    agents,
+                    arcs,
+                    constants,
+                )
+        car.acceleration = max(acceleration, -constants.max_braking)
+        # A body is narrower than a lane, but it can lie across the road.
+        for lane in range(car.lane_low, car.lane_high + 1):
+            lanes[lane].nearest = slot
+        if car.agent > NONE:
+            if agents[car.agent].phase == _ENGAGED:
+                lanes[agents[car.agent].target_lane].nearest_engaged = slot
+        elif car.moving_over != 0:
+            lanes[car.lane].nearest_engaged = slot
+    # Departures take the first free slot: vehicles are in the first slots, with gaps.
+    prefetch(every_vehicle, after, road.num_vehicles * size, _SPARE_SLOTS * size)

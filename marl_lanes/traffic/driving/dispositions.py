@@ -1,0 +1,133 @@
+"""What a driver does by itself: the leaders in its lanes, and its disposition.
+
+cooperative: takes the engaged changer as its leader from engagement on, with a longer headway and
+gentle braking while the changer's body is not yet in its lane; or leaves it the lane (yielding.py).
+neutral: plain car following; the changer counts once its body overlaps the lane. adversarial: until
+the body is in its lane it drives for a higher speed, with more acceleration and a shorter headway,
+as if the changer were not there; then it follows the car-following law, as hard as it must brake.
+external: while it is paired, its policy's acceleration, within bounds (action.py); otherwise
+neutral.
+"""
+
+import math
+from typing import Any
+
+from marl_lanes.traffic.driving.gap_seeking import desired_speed_of, seek_or_hold
+from marl_lanes.traffic.following.car_following import follow, follow_plainly
+from marl_lanes.traffic.following.curves import curve_acceleration
+from marl_lanes.traffic.following.idm import free_road_term, idm_acceleration
+from marl_lanes.traffic.machine.compiled import internal
+from marl_lanes.traffic.machine.state import NONE, Disposition, Phase
+from marl_lanes.traffic.road.geometry import is_body_in
+
+_COOPERATIVE = int(Disposition.COOPERATIVE)
+_ADVERSARIAL = int(Disposition.ADVERSARIAL)
+_ABSENT = int(Phase.ABSENT)
+_ENGAGED = int(Phase.ENGAGED)
+
+
+@internal
+def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
+    """Plain car following behind one leader, or none [m/s^2]."""
+    if front > NONE:
+        return follow_plainly(car, vehicles[front], profile, constants)
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    return idm_acceleration(profile.max_acceleration, free_road, 0.0, constants.is_sum_form)
+
+
+@internal
+def comfortable_in_curves(car: Any, profile: Any, arcs: Any, constants: Any) -> float:
+    """What the curves ahead leave to the driver, inf without one [m/s^2]."""
+    lateral, braking = profile.comfortable_lateral_acceleration, profile.comfortable_braking
+    return curve_acceleration(car, lateral, braking, arcs, constants)
+
+
+@internal
+def yield_to(car: Any, profile: Any, changer: Any, constants: Any) -> float:
+    """Car following of a cooperative driver behind its changer, with the longer headway [m/s^2]."""
+    headway, scale = constants.cooperative_time_headway, profile.braking_scale
+    free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
+    limit = profile.max_acceleration
+    return follow(car, changer, free_road, limit, headway, scale, profile, constants)
+
+
+@internal
+def _toward_lane(
+    car: Any, profile: Any, desired_speed: float, lane: Any, vehicles: Any, constants: Any
+) -> float:
+    """The smallest acceleration toward who is ahead in the lane, or on the way to it [m/s^2].
+
+    By the driver's own profile, whatever its disposition makes of its own lane; inf without one.
+    """
+    headway, scale = profile.time_headway, profile.braking_scale
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    limit, acceleration = profile.max_acceleration, math.inf
+    for front in (lane.nearest, lane.nearest_engaged):
+        if front > NONE:
+            toward = follow(
+                car, vehicles[front], free_road, limit, headway, scale, profile, constants
+            )
+            acceleration = min(acceleration, toward)
+    return acceleration
+
+
+@internal
+def drive_among(
+    rank: int,
+    car: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    count: int,
+    agents: Any,
+    profiles: Any,
+    constants: Any,
+) -> float:
+    """The smallest acceleration toward the leaders in several lanes, by disposition [m/s^2]."""
+    profile = profiles[car.profile]
+    headway, scale = profile.time_headway, profile.braking_scale
+    limit, desired_speed = profile.max_acceleration, car.desired_speed
+    has_changer = car.changer > NONE
+    has_entered = False
+    if has_changer:
+        changer = vehicles[car.changer]
+        has_entered = is_body_in(changer, agents[changer.agent].target_lane)
+    phase = _ABSENT
+    seeking, holding = math.inf, -math.inf
+    if car.agent > NONE:
+        agent = agents[car.agent]
+        phase = agent.phase
+        seeking, holding = seek_or_hold(
+            rank, car, agent, order, count, vehicles, agents, profiles, constants
+        )
+        desired_speed = desired_speed_of(car, agent, seeking, constants)
+    own_speed = desired_speed
+    if has_changer and not has_entered and car.disposition == _ADVERSARIAL:
+        headway, scale = constants.adversarial_time_headway, profile.adversarial_braking_scale
+        limit = constants.adversarial_max_acceleration
+        desired_speed = desired_speed * constants.adversarial_speed_factor
+
+    free_road = free_road_term(car.speed, desired_speed, profile.exponent)
+    acceleration = min(idm_acceleration(limit, free_road, 0.0, constants.is_sum_form), seeking)
+    for lane in range(car.lane_low, car.lane_high + 1):
+        front = lanes[lane].nearest
+        if front > NONE:
+            toward = follow(
+                car, vehicles[front], free_road, limit, headway, scale, profile, constants
+            )
+            acceleration = min(acceleration, toward)
+    if phase == _ENGAGED:
+        lane = agents[car.agent].target_lane
+        beyond = _toward_lane(car, profile, own_speed, lanes[lane], vehicles, constants)
+        acceleration = min(acceleration, max(beyond, holding))
+    elif car.moving_over != 0:
+        beyond = _toward_lane(car, profile, own_speed, lanes[car.lane], vehicles, constants)
+        acceleration = min(acceleration, beyond)
+        # It leaves the lane to the changer: no need to brake for who is not there yet.
+        has_changer = has_changer and agents[vehicles[car.changer].agent].target_lane == car.lane
+    if has_changer and car.disposition == _COOPERATIVE:
+        yielding = yield_to(car, profile, vehicles[car.changer], constants)
+        if not has_entered:
+            yielding = max(yielding, -constants.cooperative_max_braking)
+        acceleration = min(acceleration, yielding)
+    return acceleration

@@ -1,0 +1,1 @@
+"""Who enters the road, and who leaves it."""

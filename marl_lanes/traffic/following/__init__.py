@@ -1,0 +1,1 @@
+"""The law of one vehicle behind another, and its speed in curves."""

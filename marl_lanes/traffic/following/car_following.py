@@ -1,0 +1,71 @@
+"""The scenario's car-following law between two vehicles: Eq. 9, the standard IDM, the ACC model.
+
+Under the ACC model the leader's acceleration counts. Within the sweep (``followers.accelerate``)
+that is the one of the same step, because leaders come first; the gap rule and the observation read
+the state after the move: the one of the last step.
+"""
+
+from typing import Any
+
+from marl_lanes.traffic.following.idm import (
+    acc_acceleration,
+    constant_acceleration_heuristic,
+    free_road_term,
+    idm_acceleration,
+    interaction_term,
+)
+from marl_lanes.traffic.machine.compiled import internal
+from marl_lanes.traffic.road.neighbors import bumper_gap
+
+
+@internal
+def follow(
+    car: Any,
+    front: Any,
+    free_road: float,
+    limit: float,
+    headway: float,
+    scale: float,
+    profile: Any,
+    constants: Any,
+) -> float:
+    """Acceleration behind one leader [m/s^2].
+
+    Args:
+        car: who follows.
+        front: the leader.
+        free_road: ``free_road_term`` [1].
+        limit: a_m [m/s^2].
+        headway: T [s].
+        scale: 2 sqrt(a_m b) [m/s^2].
+        profile: of the driver: s0 and b.
+        constants: of the scenario: which law.
+    """
+    gap = bumper_gap(car, front, constants)
+    closing = car.speed - front.speed
+    interaction = interaction_term(car.speed, gap, closing, profile.minimum_gap, headway, scale)
+    acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
+    if constants.is_acc:
+        heuristic = constant_acceleration_heuristic(
+            car.speed, gap, front.speed, front.acceleration, limit
+        )
+        braking = profile.comfortable_braking
+        acceleration = acc_acceleration(acceleration, heuristic, braking, constants.coolness)
+        # A leader that speeds up drags nobody beyond what the driver would do on a free road.
+        acceleration = min(acceleration, limit * (1.0 - free_road))
+    return acceleration
+
+
+@internal
+def follow_plainly(car: Any, front: Any, profile: Any, constants: Any) -> float:
+    """``follow`` with the driver's own parameters [m/s^2]."""
+    return follow(
+        car,
+        front,
+        free_road_term(car.speed, car.desired_speed, profile.exponent),
+        profile.max_acceleration,
+        profile.time_headway,
+        profile.braking_scale,
+        profile,
+        constants,
+    )

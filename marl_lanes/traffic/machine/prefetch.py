@@ -1,0 +1,53 @@
+"""Bringing the next road's records into the cache while the present road advances."""
+
+from typing import Any, cast
+
+import numba
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+
+from marl_lanes.traffic.machine.compiled import internal
+
+_LINE = 64
+"""[bytes] of a cache line."""
+
+
+def _hint(_: Any, array: Any, row: Any, offset: Any) -> Any:  # noqa: ARG001 - numba reads them
+    """The processor's hint that the byte ``offset`` of ``array[row]`` is wanted soon."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        tools = cast("Any", cgutils)
+        kind = signature.args[0]
+        view = context.make_array(kind)(context, builder, arguments[0])
+        stride = tools.unpack_tuple(builder, view.strides, kind.ndim)[0]
+        byte = builder.add(builder.mul(arguments[1], stride), arguments[2])
+        base = builder.bitcast(view.data, ir.IntType(8).as_pointer())
+        flag = ir.IntType(32)
+        hint = ir.FunctionType(ir.VoidType(), [base.type, flag, flag, flag])
+        function = tools.get_or_insert_function(builder.module, hint, "llvm.prefetch.p0")
+        # To be read, kept in every level of the cache, data.
+        flags = [flag(0), flag(3), flag(1)]
+        builder.call(function, [builder.gep(base, [byte]), *flags])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp), generate
+
+
+def _nothing(_array: Any, _row: int, _offset: int) -> None:
+    """What there is to do where numba's compilation is switched off."""
+
+
+_is_compiled = not cast("Any", numba.config).DISABLE_JIT
+_prefetch_line: Any = intrinsic(_hint) if _is_compiled else _nothing
+
+
+@internal
+def prefetch(array: Any, row: int, start: int, num_bytes: int) -> None:
+    """Fetch some bytes of ``array[row]``, which need not exist, from ``start`` on.
+
+    It changes nothing but the time that it takes. The processor fetches some ten lines at a time
+    and then waits: few lines here and there cost less than many at once.
+    """
+    for offset in range(0, num_bytes, _LINE):
+        _prefetch_line(array, row, start + offset)

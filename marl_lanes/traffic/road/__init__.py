@@ -1,0 +1,1 @@
+"""The road, and how a vehicle moves on it."""

@@ -1,0 +1,106 @@
+"""Where things are: the road's curvature, its lanes, and the lanes that a body overlaps."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_lanes.traffic.machine.compiled import compiled, internal
+
+FloatArray = NDArray[np.float64]
+
+
+@compiled
+def arc_curvature(arc: Any, position: float) -> float:
+    """The curvature of an arc within it [1/m], linear in its clothoids; positive bends left."""
+    to_end = min(position - arc.start, arc.end - position)
+    if to_end >= arc.transition:
+        return float(arc.curvature)
+    return float(arc.curvature * (to_end / arc.transition))
+
+
+@compiled
+def curvature_at(arcs: Any, position: float) -> float:
+    """The road's curvature c(s) [1/m], 0 outside its arcs; positive bends left."""
+    for arc in range(arcs.shape[0]):
+        if arcs[arc].start <= position < arcs[arc].end:
+            return arc_curvature(arcs[arc], position)
+    return 0.0
+
+
+@compiled
+def road_turn_rate(car: Any, arcs: Any) -> float:
+    """How fast the road turns under the car: c s', s' = v cos(psi)/(1 - c d) [rad/s]."""
+    curvature = curvature_at(arcs, car.position)
+    if curvature == 0.0:
+        return 0.0
+    progress = car.speed * math.cos(car.yaw) / (1.0 - curvature * car.lateral_position)
+    return float(curvature * progress)
+
+
+def road_turning(cars: Any, arcs: Any) -> tuple[FloatArray, FloatArray]:
+    """Under each of N cars: the curvature [1/m] and ``road_turn_rate`` [rad/s], (N,) float64."""
+    curvature, turn_rate = np.empty(len(cars)), np.empty(len(cars))
+    _read_turning(np.ascontiguousarray(cars), arcs, curvature, turn_rate)
+    return curvature, turn_rate
+
+
+@compiled
+def _read_turning(cars: Any, arcs: Any, curvature: Any, turn_rate: Any) -> None:
+    for index in range(cars.shape[0]):
+        curvature[index] = curvature_at(arcs, cars[index].position)
+        turn_rate[index] = road_turn_rate(cars[index], arcs)
+
+
+@compiled
+def lane_centre(lane: int, lane_width: float) -> float:
+    """Lateral position of a lane's centre [m]."""
+    return (lane + 0.5) * lane_width
+
+
+@internal
+def half_extent(yaw: float, constants: Any) -> float:
+    """Half of the body's width across the road: (l/2)|sin psi| + (w/2)|cos psi| [m]."""
+    if yaw == 0.0:
+        return 0.5 * float(constants.vehicle_width)
+    return turned_extent(math.sin(yaw), math.cos(yaw), constants)
+
+
+@internal
+def turned_extent(sine: float, cosine: float, constants: Any) -> float:
+    """``half_extent`` where the sine and cosine of psi are at hand [m]."""
+    across = constants.vehicle_length * abs(sine)
+    return 0.5 * float(across + constants.vehicle_width * abs(cosine))
+
+
+@internal
+def occupy(car: Any, extent: float, constants: Any) -> None:
+    """Set the lanes that the body overlaps, off-road parts counted to the outermost lane."""
+    last = constants.num_lanes - 1
+    low = math.floor((car.lateral_position - extent) / constants.lane_width)
+    high = math.floor((car.lateral_position + extent) / constants.lane_width)
+    car.lane_low = min(max(low, 0), last)
+    car.lane_high = min(max(high, 0), last)
+
+
+@internal
+def is_body_in(car: Any, lane: int) -> bool:
+    """Whether the body overlaps the lane."""
+    return bool(car.lane_low <= lane <= car.lane_high)
+
+
+@internal
+def is_off_road(car: Any, extent: float, constants: Any) -> bool:
+    """Whether the body is beyond an edge of the road, or the car no longer faces along it.
+
+    ``extent`` is the body's ``half_extent`` [m].
+    """
+    if car.yaw == 0.0:
+        return False
+    width = constants.num_lanes * constants.lane_width
+    return bool(
+        car.lateral_position < extent
+        or car.lateral_position > width - extent
+        or abs(car.yaw) >= 0.5 * math.pi
+    )

@@ -1,0 +1,55 @@
+"""How a vehicle moves: integration in the road (Frenet) frame, and what it can attain."""
+
+import math
+from typing import Any
+
+from marl_lanes.traffic.machine.compiled import compiled, internal
+from marl_lanes.traffic.road.geometry import curvature_at, half_extent, occupy, turned_extent
+
+
+@compiled
+def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
+    """One semi-implicit Euler step of dt under the car's acceleration and yaw acceleration.
+
+    v += a dt (not below 0); omega += alpha dt, |omega| <= v/R_min; psi += (omega - c s') dt;
+    s += v cos(psi)/(1 - c d) dt; d += v sin(psi) dt. Each line uses what the lines before it gave.
+    Where a bound holds, a or alpha becomes what was applied: (after - before)/dt.
+
+    Returns:
+        Half of the body's width across the road afterwards, as ``half_extent`` [m].
+    """
+    step = constants.time_step
+    speed = car.speed + car.acceleration * step
+    if speed < 0.0:
+        car.acceleration = (0.0 - car.speed) / step
+        speed = 0.0
+    car.speed = speed
+    # Most vehicles go straight: one comparison instead of four.
+    if abs(car.yaw) + abs(car.yaw_rate) + abs(car.yaw_acceleration) + abs(turn_rate) == 0.0:
+        car.position += speed * step
+        return half_extent(0.0, constants)
+    fastest = speed / constants.min_turning_radius
+    yaw_rate = car.yaw_rate + car.yaw_acceleration * step
+    if abs(yaw_rate) > fastest:
+        yaw_rate = min(max(yaw_rate, -fastest), fastest)
+        car.yaw_acceleration = (yaw_rate - car.yaw_rate) / step
+    car.yaw_rate = yaw_rate
+    car.yaw += (car.yaw_rate - turn_rate) * step
+    sine, cosine = math.sin(car.yaw), math.cos(car.yaw)
+    curvature = curvature_at(arcs, car.position)
+    progress = speed * cosine / (1.0 - curvature * car.lateral_position)
+    car.position += progress * step
+    car.lateral_position += speed * sine * step
+    extent = turned_extent(sine, cosine, constants)
+    occupy(car, extent, constants)
+    return float(extent)
+
+
+@internal
+def attainable(acceleration: float, car: Any, constants: Any) -> float:
+    """The acceleration that a driver who wants this one can have in a step [m/s^2].
+
+    Not below the physical braking limit, nor below what brings the car to a standstill.
+    """
+    stopping = (0.0 - car.speed) / constants.time_step
+    return float(max(acceleration, -constants.max_braking, stopping))

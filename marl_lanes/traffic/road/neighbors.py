@@ -1,0 +1,118 @@
+"""Who is ahead and who is behind, lane by lane, along the order of decreasing position."""
+
+from typing import Any
+
+from marl_lanes.traffic.machine.compiled import compiled, internal
+from marl_lanes.traffic.machine.state import NONE, Phase
+from marl_lanes.traffic.road.geometry import is_body_in
+
+_ENGAGED = int(Phase.ENGAGED)
+
+
+@internal
+def insert_by_position(order: Any, rank: int, vehicles: Any) -> None:
+    """Move the vehicle at ``rank`` ahead of those before it that it has passed.
+
+    Over all ranks from the front an insertion sort, near linear on near order.
+    """
+    slot = order[rank]
+    position = vehicles[slot].position
+    place = rank
+    while place > 0 and vehicles[order[place - 1]].position < position:
+        order[place] = order[place - 1]
+        place -= 1
+    if place != rank:
+        order[place] = slot
+
+
+@internal
+def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
+    """Whether the body overlaps the lane, or the car is engaged or moving over toward it."""
+    if is_body_in(car, lane):
+        return True
+    if car.agent == NONE:
+        return bool(car.moving_over != 0 and car.lane == lane)
+    agent = agents[car.agent]
+    return bool(agent.phase == _ENGAGED and agent.target_lane == lane)
+
+
+@internal
+def neighbor_rank(
+    rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
+) -> int:
+    """Rank of the nearest vehicle in the lane from ``rank`` on: stride -1 ahead, +1 behind."""
+    other = rank + stride
+    while 0 <= other < count:
+        if is_in_lane(vehicles[order[other]], lane, agents):
+            return other
+        other += stride
+    return NONE
+
+
+@internal
+def neighbor_in_lane(
+    rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
+) -> int:
+    """Slot of the nearest vehicle in the lane from ``rank`` on: stride -1 ahead, +1 behind."""
+    other = rank + stride
+    while 0 <= other < count:
+        slot = order[other]
+        if is_in_lane(vehicles[slot], lane, agents):
+            return int(slot)
+        other += stride
+    return NONE
+
+
+@internal
+def neighbors_in_lanes(
+    rank: int,
+    stride: int,
+    lane: int,
+    other_lane: int,
+    order: Any,
+    count: int,
+    vehicles: Any,
+    agents: Any,
+) -> tuple[int, int]:
+    """``neighbor_in_lane`` of two lanes at once."""
+    neighbor = other_neighbor = NONE
+    at = rank + stride
+    while 0 <= at < count and (neighbor == NONE or other_neighbor == NONE):
+        slot = int(order[at])
+        if neighbor == NONE and is_in_lane(vehicles[slot], lane, agents):
+            neighbor = slot
+        if other_neighbor == NONE and is_in_lane(vehicles[slot], other_lane, agents):
+            other_neighbor = slot
+        at += stride
+    return neighbor, other_neighbor
+
+
+@internal
+def find_rank(slot: int, order: Any) -> int:
+    """Place of the vehicle in the order from the front of the road."""
+    rank = 0
+    while order[rank] != slot:
+        rank += 1
+    return rank
+
+
+@internal
+def find_agent_neighbors(
+    agent: Any, rank: int, order: Any, count: int, vehicles: Any, agents: Any
+) -> None:
+    """Set the agent's leader and follower in its origin and in its target lane.
+
+    ``rank`` is its vehicle's place in the order.
+    """
+    agent.leader, agent.target_leader = neighbors_in_lanes(
+        rank, -1, agent.origin_lane, agent.target_lane, order, count, vehicles, agents
+    )
+    agent.follower, agent.target_follower = neighbors_in_lanes(
+        rank, 1, agent.origin_lane, agent.target_lane, order, count, vehicles, agents
+    )
+
+
+@compiled
+def bumper_gap(rear: Any, front: Any, constants: Any) -> float:
+    """Bumper-to-bumper distance [m], negative where the bodies overlap lengthwise."""
+    return float(front.position - rear.position - constants.vehicle_length)

@@ -1,0 +1,1 @@
+"""Who learns: what a changer and a follower see, do and are paid."""

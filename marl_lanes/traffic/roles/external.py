@@ -1,0 +1,120 @@
+"""Followers driven from outside the simulation: the protocol, the registry, the checks."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_lanes.scenario import Scenario, ScenarioError
+from marl_lanes.scenario.followers import LEARNED, SCRIPTED
+from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
+
+FOLLOWER_COLUMNS = {feature.name: column for column, feature in enumerate(FOLLOWER_FEATURES)}
+"""Column of each feature in a follower's observation."""
+
+
+class FollowerPolicy(Protocol):
+    """What drives followers: a function of the observations of n of them.
+
+    Called once a time step for all paired drivers of its name, of every road, in the order of road
+    and slot; it must not keep the array. For equal observations it must return equal accelerations
+    (no random numbers of its own), or runs are not repeatable.
+    """
+
+    def __call__(self, observations: NDArray[np.float32], /) -> NDArray[np.floating]:
+        """Accelerations (n,) [m/s^2] for observations (n, G), columns as FOLLOWER_COLUMNS."""
+
+
+class FollowerError(ValueError):
+    """A follower's policy returned what no vehicle can do."""
+
+
+_registered: dict[str, FollowerPolicy] = {}
+
+
+def register_follower(name: str, policy: FollowerPolicy) -> None:
+    """Make a policy usable as a disposition of that name in ``followers.mix``.
+
+    Args:
+        name: letters, digits, _ and -, a letter or _ first; a name given again is replaced.
+        policy: see ``FollowerPolicy``.
+
+    Raises:
+        ValueError: the name is one of the scripted ones or ``learned``, or not of that form.
+        TypeError: the policy cannot be called.
+    """
+    taken = (*SCRIPTED, LEARNED)
+    if name in taken or not name.replace("-", "_").isidentifier() or not name.isascii():
+        raise ValueError(
+            f"follower name {name!r}: must be letters, digits, _ and -, and none of {taken}"
+        )
+    if not callable(policy):
+        raise TypeError(f"follower {name!r}: its policy must be callable, got {policy!r}")
+    _registered[name] = policy
+
+
+def registered_follower(name: str) -> FollowerPolicy | None:
+    """The policy registered under that name, if any."""
+    return _registered.get(name)
+
+
+def choose_policies(
+    scenario: Scenario,
+    given: Mapping[str, FollowerPolicy] | None,
+    *,
+    has_learner: bool,
+) -> tuple[FollowerPolicy | None, ...]:
+    """The policy of every external name in the mix, in order; None where a learner acts.
+
+    Raises:
+        ScenarioError: a name has no policy.
+    """
+    chosen: list[FollowerPolicy | None] = []
+    for name in scenario.followers.external_names:
+        policy = (given or {}).get(name, registered_follower(name))
+        if name == LEARNED and has_learner:
+            policy = None
+        elif policy is None:
+            raise ScenarioError(
+                f"scenario {scenario.name!r}: followers.mix: {name!r} has no policy; allowed: "
+                f"{', '.join(SCRIPTED)}, learned (with followers.learned.checkpoint or "
+                "learned_followers=True), a name given to register_follower "
+                f"({', '.join(sorted(_registered)) or 'none so far'}), or one in follower_policies"
+            )
+        chosen.append(policy)
+    return tuple(chosen)
+
+
+def ask_policy(
+    name: str, policy: FollowerPolicy, observations: NDArray[np.float32], scenario: Scenario
+) -> NDArray[np.float64]:
+    """The policy's accelerations, (n,) float64, or a clear error.
+
+    Raises:
+        FollowerError: wrong shape or type, not finite, or out of the bounds of followers.external.
+    """
+    external, count = scenario.followers.external, len(observations)
+    returned = policy(observations)
+    try:
+        accelerations = np.asarray(returned, np.float64)
+    except (TypeError, ValueError) as error:
+        raise FollowerError(
+            f"follower {name!r}: returned {returned!r}, must be {count} numbers: {error}"
+        ) from None
+    if accelerations.shape != (count,):
+        raise FollowerError(
+            f"follower {name!r}: returned shape {accelerations.shape}, must be ({count},)"
+        )
+    low, high = -external.max_braking, external.max_acceleration
+    # Float32 networks bound their output to within rounding.
+    margin = 1e-5
+    bad = ~((low - margin <= accelerations) & (accelerations <= high + margin))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise FollowerError(
+            f"follower {name!r}: returned {accelerations[row]} for row {row}, must be a finite "
+            f"acceleration between {low} and {high} m/s^2 (followers.external); it saw "
+            f"{dict(zip(FOLLOWER_COLUMNS, observations[row].tolist(), strict=True))}"
+        )
+    return accelerations

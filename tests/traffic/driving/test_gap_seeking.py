@@ -1,0 +1,191 @@
+"""What a waiting driver does for a gap in its target lane."""
+
+import math
+
+import numpy as np
+import pytest
+from staging import command, damped_actions, stage
+
+from marl_lanes.traffic.driving.gap_seeking import travel_time
+from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.simulator import Simulator
+
+NEVER = {"gap": {"minimum_gap": 5000.0}}
+FREE = 2.0 * (1.0 - (20.0 / 33.0) ** 4)
+"""[m/s^2] at 20 m/s on a free road with 1.1 times the desired speed of 30 m/s."""
+
+
+def simulator_of(name="paper", **overrides):
+    simulator = Simulator(name, overrides={"warmup": [0.0, 0.0], **overrides})
+    simulator.reset()
+    return simulator
+
+
+def waiting(*others, own=None, phase=Phase.WAITING, **overrides):
+    """Acceleration of a driver that waits at 200 m in lane 1 for lane 2, at 20 m/s."""
+    simulator = simulator_of(**overrides)
+    stage(simulator, {"lane": 1, "position": 200.0, **(own or {})}, *others)
+    command(simulator, 0, 1, phase)
+    simulator.step()
+    return float(simulator.vehicles[0, 0]["acceleration"])
+
+
+def there(position, speed=20.0, lane=2):
+    return {"lane": lane, "position": position, "speed": speed}
+
+
+NEED = 25.0 / math.sqrt(2.5)
+"""[m] At 20 m/s on either side: where Eq. 9 gives -3 m/s^2."""
+
+
+@pytest.mark.parametrize(
+    ("distance", "speed", "top", "expected"),
+    [
+        (0.0, 0.0, 9.0, 0.0),
+        # Half the way up, half down: 2 sqrt(16/1).
+        (16.0, 0.0, 9.0, 8.0),
+        (-16.0, 0.0, 9.0, 8.0),
+        # It must only brake: 4 m/s in 4 s over 8 m.
+        (8.0, 4.0, 9.0, 4.0),
+        # It passes and comes back: 4 s to a stand at 8 m, then 2 sqrt(8).
+        (0.0, 4.0, 9.0, 4.0 + 2.0 * math.sqrt(8.0)),
+        # It first turns round: 4 s, 8 m away, then 2 sqrt(16).
+        (8.0, -4.0, 9.0, 4.0 + 8.0),
+        # At most 2 m/s: 2 s up, 2 s down, 4 m, the other 12 m in 6 s.
+        (16.0, 0.0, 2.0, 10.0),
+        (-16.0, 0.0, 2.0, 10.0),
+        (16.0, 0.0, 0.0, math.inf),
+    ],
+)
+def test_travel_time_by_hand(distance, speed, top, expected):
+    assert travel_time(distance, speed, 1.0, top) == pytest.approx(expected)
+
+
+def test_it_falls_back_behind_the_vehicle_beside_it_gently():
+    """Nobody else is there: the windows behind are sooner reached than those ahead, or not."""
+    # The edge behind lies 4.8 + NEED m behind 203, 3 m further the aim.
+    aim = 203.0 - 4.8 - NEED - 3.0 - 200.0
+    assert aim == pytest.approx(-20.61, abs=0.01)
+    assert waiting(there(203.0)) == pytest.approx(max(aim / 5.0, -1.5))
+    near = 203.0 + 17.0
+    aim = near - 4.8 - NEED - 3.0 - 200.0
+    assert waiting(there(near)) == pytest.approx(aim / 5.0)
+    assert -1.5 < aim / 5.0 < 0.0
+
+
+def test_it_speeds_up_to_get_ahead_of_the_vehicle_beside_it():
+    assert waiting(there(197.0)) == pytest.approx(FREE)
+    # Close to the edge only as much as it takes: the aim is 2 + 3 m ahead.
+    rear = 200.0 - 4.8 - NEED + 2.0
+    assert waiting(there(rear)) == pytest.approx(5.0 / 5.0)
+
+
+def test_it_goes_faster_than_it_desires_for_a_gap_but_not_by_more_than_the_factor():
+    own = {"speed": 30.0, "desired_speed": 30.0}
+    found = waiting(there(185.0, 30.0), own=own)
+    assert found == pytest.approx(2.0 * (1.0 - (30.0 / 33.0) ** 4))
+    fixed = {"gap": {"speed_factor": 1.0}}
+    # It cannot overtake, so it falls back.
+    assert waiting(there(185.0, 30.0), own=own, **fixed) == pytest.approx(-1.5)
+
+
+def test_who_comes_faster_than_the_driver_may_go_is_let_by():
+    """At 20 m/s, 22 at most, nobody gets ahead of 30 m/s: the driver waits for the place behind."""
+    own = {"speed": 20.0, "desired_speed": 20.0}
+    assert waiting(there(190.0, 30.0), own=own) <= 0.0
+
+
+def test_the_own_leader_bars_the_way_ahead():
+    """Beside a vehicle in the rear half: ahead were nearer, but the own leader is in the way."""
+    assert waiting(there(197.0)) > 1.0
+    # It is 25 m ahead: where car following at 20 m/s would keep it, nothing is left to gain.
+    assert waiting(there(197.0), there(229.8, lane=1)) == pytest.approx(-1.5)
+
+
+def test_the_own_leader_is_followed_whatever_the_gap():
+    found = waiting(there(197.0), {"lane": 1, "position": 214.0, "speed": 12.0})
+    assert found == -8.0
+
+
+def test_of_three_gaps_the_one_reached_soonest_is_sought():
+    wide = 2.0 * NEED + 4.8
+    # Beside too narrow a gap: the next one behind is wide enough, the next one ahead is far.
+    behind = [there(215.0), there(190.0), there(190.0 - wide - 8.0), there(300.0)]
+    assert waiting(*behind) == pytest.approx(-1.5)
+    # The other way round.
+    ahead = [there(185.0), there(210.0), there(210.0 + wide + 8.0), there(100.0), there(140.0)]
+    assert waiting(*ahead) == pytest.approx(FREE)
+
+
+def test_without_a_gap_in_sight_it_drives_on():
+    """A lane of vehicles 20 m apart within sensor range: no window, plain car following."""
+    lane = [there(position) for position in range(0, 420, 20)]
+    plain = 2.0 * (1.0 - (20.0 / 30.0) ** 4)
+    assert waiting(*lane) == pytest.approx(plain)
+    assert waiting(*lane, **NEVER) == pytest.approx(plain)
+
+
+def test_it_never_brakes_harder_than_comfortable_for_a_gap():
+    found = waiting(there(204.0, 5.0), own={"profile": 1})
+    assert found == pytest.approx(-2.5)
+    assert waiting(there(204.0, 5.0)) == pytest.approx(-1.5)
+
+
+def test_an_engaged_changer_brakes_gently_for_the_target_lane_until_it_is_there():
+    """20 m behind a leader that is 5 m/s slower: Eq. 9 gives -10 m/s^2."""
+    leader = there(234.0, 17.0)
+    gap = 234.0 - 200.0 - 4.8
+    law = 2.0 * (1.0 - ((25.0 + 20.0 * 3.0 / (2.0 * math.sqrt(3.0))) / gap) ** 2)
+    assert -4.0 < law < -1.5
+    assert waiting(leader, phase=Phase.ENGAGED) == pytest.approx(-1.5)
+    inside = {"lateral_position": 7.0}
+    assert waiting(leader, own=inside, phase=Phase.ENGAGED) == pytest.approx(law)
+
+
+def test_an_engaged_changer_keeps_the_speed_that_it_took_for_the_gap():
+    own = {"speed": 21.0, "desired_speed": 20.0}
+    slower = 2.0 * (1.0 - (21.0 / 20.0) ** 4)
+    assert waiting(own=own, phase=Phase.ENGAGED) == pytest.approx(0.0, abs=1e-12)
+    inside = {**own, "lateral_position": 7.0}
+    assert waiting(own=inside, phase=Phase.ENGAGED) == pytest.approx(slower)
+
+
+def test_the_observed_car_following_is_the_one_that_is_driven():
+    """What a waiting agent sees is what it would do in the next step without a second action."""
+    features = {"observation": {"features": ["car_following_acceleration", "phase"]}}
+    overrides = {
+        **features,
+        "command": {"probability": 1.0},
+        "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
+        "followers": {"mix": {"neutral": 1.0}},
+    }
+    simulator = Simulator("dense", 8, seed=3, overrides=overrides)
+    simulator.reset()
+    compared = 0
+    for _ in range(300):
+        seen = simulator.state.observations.copy()
+        vehicles = simulator.agents["vehicle"].copy()
+        alone = (simulator.roads["num_live"] == 1)[:, None] & (seen[..., 1] == Phase.WAITING)
+        simulator.step(damped_actions(simulator))
+        for env, slot in np.argwhere(alone):
+            found = simulator.vehicles[env, vehicles[env, slot]]["acceleration"]
+            assert found == pytest.approx(seen[env, slot, 0], abs=1e-5)
+            compared += 1
+    assert compared > 100
+
+
+def test_in_dense_traffic_waiting_drivers_find_gaps_that_nobody_must_brake_hard_for():
+    settled = {"max_deviation": 0.2, "max_lateral_speed": 0.25, "max_yaw_rate": 0.03}
+    simulator = Simulator("dense", 40, seed=0, overrides={"completion": settled})
+    simulator.reset()
+    outcomes, hardest = [], 0.0
+    while not simulator.roads["is_done"].all():
+        simulator.step(damped_actions(simulator))
+        outcomes += simulator.agents["outcome"][simulator.has_ended].tolist()
+        for env, slot in np.argwhere(simulator.agents["phase"] == Phase.ENGAGED):
+            agent = simulator.agents[env, slot]
+            hardest = max(hardest, -simulator.vehicles[env, agent["vehicle"]]["acceleration"])
+    assert len(outcomes) == 400
+    assert outcomes.count(Outcome.MISSED) <= 12
+    assert outcomes.count(Outcome.COMPLETED) >= 388
+    assert hardest < 4.5

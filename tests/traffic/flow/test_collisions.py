@@ -1,0 +1,171 @@
+"""Collisions: which rectangles overlap, what is recorded, who leaves."""
+
+import math
+
+import numpy as np
+import pytest
+from reference import Car, Road, overlap_area
+from staging import command, stage
+
+from marl_lanes.traffic.flow.collisions import is_overlapping
+from marl_lanes.traffic.machine.state import NUM_COLLISION_RECORDS, CollisionKind, Outcome
+from marl_lanes.traffic.simulator import Simulator
+
+
+def simulator_of(**overrides):
+    simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], **overrides})
+    simulator.reset()
+    return simulator
+
+
+def newest(simulator):
+    index = (int(simulator.roads["num_collisions"][0]) - 1) % NUM_COLLISION_RECORDS
+    return simulator.state.collisions[0, index]
+
+
+def set_pose(row, position, lateral, yaw):
+    row["position"], row["lateral_position"], row["yaw"] = position, lateral, yaw
+
+
+def corners(simulator, row):
+    pose = {name: row[name] for name in Car.__annotations__ if name in row.dtype.names}
+    return Road(simulator.scenario).corners(Car(**pose, slot=0))
+
+
+def test_overlap_agrees_with_polygon_clipping():
+    simulator = simulator_of()
+    constants = simulator.parameters.constants[0]
+    rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
+    generator = np.random.default_rng(0)
+    counts = [0, 0]
+    for trial in range(4000):
+        yaws = generator.uniform(-1.5, 1.5, 2) if trial % 4 else np.zeros(2)
+        set_pose(rear, 0.0, 5.0, yaws[0])
+        set_pose(front, generator.uniform(0.0, 6.0), 5.0 + generator.uniform(-5.0, 5.0), yaws[1])
+        area = overlap_area(corners(simulator, rear), corners(simulator, front))
+        is_hit = is_overlapping(rear, front, constants)
+        assert is_hit == (area > 0.0)
+        assert is_hit == is_overlapping(front, rear, constants)
+        counts[is_hit] += 1
+    assert min(counts) > 800
+
+
+def test_touching_is_not_overlapping():
+    simulator = simulator_of()
+    constants = simulator.parameters.constants[0]
+    rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
+    set_pose(rear, 0.0, 0.0, 0.0)
+    for position, lateral, expected in (
+        (4.8, 0.0, False),
+        (4.799, 0.0, True),
+        (0.0, 1.8, False),
+        (0.0, 1.799, True),
+    ):
+        set_pose(front, position, lateral, 0.0)
+        assert is_overlapping(rear, front, constants) == expected
+
+
+def test_a_rear_end_collision_is_recorded_with_who_and_how():
+    simulator = simulator_of()
+    stage(
+        simulator,
+        {"lane": 1, "position": 105.5, "speed": 1.0, "id": 71},
+        {"lane": 1, "position": 100.0, "speed": 30.0, "id": 72},
+        {"lane": 1, "position": 60.0, "speed": 5.0, "id": 73},
+        {"lane": 2, "position": 101.0, "speed": 20.0, "id": 74},
+    )
+    agent = command(simulator, 1, 1)
+    simulator.roads["num_commands"] = 8
+    simulator.agents[0, agent]["command"] = 7
+    simulator.step()
+    record = newest(simulator)
+    assert simulator.roads["num_collisions"][0] == 1
+    assert (record["rear_id"], record["front_id"]) == (72, 71)
+    assert (record["rear_command"], record["front_command"]) == (7, -1)
+    assert record["kind"] == CollisionKind.REAR_END
+    assert record["step"] == 1
+    assert record["position"] == pytest.approx(100.0 + 0.1 * (30.0 - 0.8))
+    # The one behind brakes at its limit, the one ahead gains 2 m/s^2.
+    assert record["closing_speed"] == pytest.approx(29.2 - 1.2, abs=0.01)
+    remaining = simulator.vehicles[0]["id"][simulator.vehicles[0]["id"] >= 0]
+    assert sorted(remaining.tolist()) == [73, 74]
+    assert simulator.roads["num_collided"][0] == 2
+    assert simulator.agents[0, agent]["outcome"] == Outcome.COLLISION
+    assert simulator.agents[0, agent]["reward_failure"] == -10.0
+
+
+@pytest.mark.parametrize("offset", [-2.0, 1.0])
+def test_a_contact_from_abreast_is_a_side_collision(offset):
+    simulator = simulator_of()
+    stage(
+        simulator,
+        {"lane": 2, "position": 100.0, "speed": 20.0},
+        {"lane": 1, "position": 100.0 + offset, "speed": 20.0, "lateral_position": 7.5},
+    )
+    simulator.vehicles[0, 1]["yaw"] = 0.1
+    command(simulator, 1, 1)
+    simulator.step()
+    assert simulator.roads["num_collisions"][0] == 1
+    assert newest(simulator)["kind"] == CollisionKind.SIDE
+    is_ahead = offset > 0.0
+    expected = (-1, 0) if is_ahead else (0, -1)
+    assert (newest(simulator)["rear_command"], newest(simulator)["front_command"]) == expected
+
+
+def test_vehicles_side_by_side_in_their_lanes_do_not_collide():
+    simulator = simulator_of()
+    stage(simulator, *({"lane": lane, "position": 100.0} for lane in range(3)))
+    for _ in range(50):
+        simulator.step()
+    assert simulator.roads["num_collisions"][0] == 0
+    assert simulator.roads["num_vehicles"][0] == 3
+
+
+def test_a_pile_up_counts_every_vehicle_once_and_every_pair():
+    simulator = simulator_of()
+    stage(simulator, *({"lane": 1, "position": 100.0 + 3.0 * n, "speed": 0.1} for n in range(4)))
+    simulator.step()
+    assert simulator.roads["num_collided"][0] == 4
+    assert simulator.roads["num_collisions"][0] == 3
+    assert simulator.roads["num_vehicles"][0] == 0
+
+
+def test_the_newest_records_are_kept_and_the_counter_counts_all():
+    simulator = simulator_of()
+    total = NUM_COLLISION_RECORDS + 3
+    for number in range(total):
+        stage(
+            simulator,
+            {"lane": 1, "position": 100.0, "id": 2 * number},
+            {"lane": 1, "position": 99.0, "id": 2 * number + 1},
+        )
+        simulator.step()
+    assert simulator.roads["num_collisions"][0] == total
+    fronts = sorted(simulator.state.collisions[0]["front_id"].tolist())
+    assert fronts == [2 * number for number in range(3, total)]
+    simulator.reset()
+    assert (simulator.state.collisions["rear_id"] == -1).all()
+
+
+def test_a_vehicle_that_leaves_the_road_by_a_collision_has_not_left_off_the_road():
+    simulator = simulator_of()
+    stage(
+        simulator,
+        {"lane": 0, "position": 100.0, "lateral_position": 1.0, "yaw": -0.2, "speed": 15.0},
+        {"lane": 0, "position": 96.0, "lateral_position": 1.0, "speed": 15.0},
+    )
+    simulator.step()
+    roads = simulator.roads[0]
+    assert roads["num_collided"] == 2
+    assert roads["num_left"] == 0
+    assert roads["num_off_road"] == 0
+
+
+def test_a_turned_rectangle_reaches_as_far_as_its_corners():
+    simulator = simulator_of()
+    stage(simulator, {"lane": 1, "position": 100.0, "yaw": 0.5, "speed": 0.0})
+    simulator.step()
+    extent = 2.4 * math.sin(0.5) + 0.9 * math.cos(0.5)
+    assert extent > 1.875
+    car = simulator.vehicles[0, 0]
+    assert (car["lane_low"], car["lane_high"]) == (0, 2)

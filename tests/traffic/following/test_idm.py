@@ -1,0 +1,200 @@
+"""Car following: numbers by hand, equilibrium, a free road."""
+
+import math
+
+import pytest
+from staging import stage
+
+from marl_lanes.traffic.following.idm import (
+    acc_acceleration,
+    constant_acceleration_heuristic,
+    free_road_term,
+    idm_acceleration,
+    interaction_term,
+)
+from marl_lanes.traffic.simulator import Simulator
+
+SCALE = 2.0 * math.sqrt(2.0 * 1.5)
+"""2 sqrt(a_m b) of the paper: 3.4641 m/s^2."""
+
+
+@pytest.mark.parametrize(
+    ("speed", "desired", "exponent", "term"),
+    [
+        (20.0, 25.0, 4.0, 0.4096),
+        (25.0, 25.0, 4.0, 1.0),
+        (0.0, 25.0, 4.0, 0.0),
+        (10.0, 20.0, 2.0, 0.25),
+        (10.0, 20.0, 1.0, 0.5),
+    ],
+)
+def test_free_road_term(speed, desired, exponent, term):
+    assert free_road_term(speed, desired, exponent) == pytest.approx(term, rel=1e-12)
+
+
+def test_interaction_term_by_hand():
+    # s* = 5 + 20 * 1 + 20 * 5/3.464102 = 53.867513; (53.867513/30)^2 = 3.224121
+    term = interaction_term(20.0, 30.0, 5.0, 5.0, 1.0, SCALE)
+    assert term == pytest.approx(3.2241211, rel=1e-6)
+
+
+def test_eq_9_takes_the_larger_term_and_the_standard_form_their_sum():
+    free, interaction = 0.4096, 3.2241211
+    assert idm_acceleration(2.0, free, interaction, 0) == pytest.approx(-4.4482422)
+    assert idm_acceleration(2.0, free, interaction, 1) == pytest.approx(-5.2674422)
+    assert idm_acceleration(2.0, free, 0.1, 0) == pytest.approx(1.1808)
+    assert idm_acceleration(2.0, free, 0.1, 1) == pytest.approx(0.9808)
+
+
+@pytest.mark.parametrize("speed", [0.0, 5.0, 20.0])
+def test_the_desired_gap_at_equal_speeds_is_s0_plus_v_t(speed):
+    term = interaction_term(speed, 5.0 + 1.2 * speed, 0.0, 5.0, 1.2, SCALE)
+    assert term == pytest.approx(1.0)
+    assert idm_acceleration(2.0, 0.3, term, 0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_leader_that_pulls_away_fast_is_no_obstacle():
+    assert interaction_term(10.0, 50.0, -1000.0, 5.0, 1.0, SCALE) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("gap", [0.0, -3.0, 1e-300])
+def test_contact_gives_a_finite_huge_term(gap):
+    term = interaction_term(20.0, gap, 0.0, 5.0, 1.0, SCALE)
+    assert 1e6 < term < math.inf
+
+
+@pytest.mark.parametrize(
+    ("speed", "gap", "front_speed", "front_acceleration", "expected"),
+    [
+        # Equal speeds, a steady leader: nothing need be done.
+        (20.0, 10.0, 20.0, 0.0, 0.0),
+        # Closing with 5 m/s at 25 m: 25/50.
+        (20.0, 25.0, 15.0, 0.0, -0.5),
+        # A leader that brakes with 4 m/s^2 from 15 m/s: 15 * 5 <= 2 * 25 * 4, both come to a stand,
+        # 20^2 * -4/(15^2 + 2 * 25 * 4).
+        (20.0, 25.0, 15.0, -4.0, -1600.0 / 425.0),
+        # It brakes too mildly for that: 15 * 5 > 2 * 25 * 1; -1 - 25/50.
+        (20.0, 25.0, 15.0, -1.0, -1.5),
+        # Its acceleration counts up to the own a_m = 2.
+        (20.0, 25.0, 20.0, 3.0, 2.0),
+        # It stands, and stays there: v^2/(2 s).
+        (20.0, 50.0, 0.0, 0.0, -4.0),
+        (0.0, 5.0, 0.0, 0.0, 0.0),
+        (0.0, 5.0, 0.0, -2.0, 0.0),
+    ],
+)
+def test_the_constant_acceleration_heuristic_by_hand(
+    speed, gap, front_speed, front_acceleration, expected
+):
+    found = constant_acceleration_heuristic(speed, gap, front_speed, front_acceleration, 2.0)
+    assert found == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_acc_model_by_hand():
+    # The IDM is the milder one: it stays.
+    assert acc_acceleration(-1.0, -2.0, 1.5, 0.99) == -1.0
+    # 0.01 * -10 + 0.99 (-0.5 + 1.5 tanh(-9.5/1.5))
+    assert acc_acceleration(-10.0, -0.5, 1.5, 0.99) == pytest.approx(-2.0799906, abs=1e-6)
+    assert acc_acceleration(-10.0, -0.5, 1.5, 0.0) == -10.0
+
+
+def cut_in(form, **more):
+    """Acceleration at 25 m/s, 12 m behind a leader as fast, by the law."""
+    drivers = {"drivers": {"car_following": form, **more}, "warmup": [0.0, 0.0]}
+    simulator = Simulator("paper", overrides=drivers)
+    simulator.reset()
+    cruising = {"lane": 1, "speed": 25.0, "desired_speed": 30.0}
+    stage(
+        simulator,
+        {**cruising, "position": 100.0},
+        {**cruising, "position": 116.8, "desired_speed": 25.0},
+    )
+    simulator.step()
+    return simulator.vehicles[0]["acceleration"][:2].tolist()
+
+
+def test_after_a_cut_in_the_acc_model_brakes_milder_than_the_idm():
+    following, leading = cut_in("acc")
+    # The leader at its desired speed keeps it: a_CAH = 0.
+    assert leading == pytest.approx(0.0, abs=1e-12)
+    wanted = 2.0 * (1.0 - (25.0 / 30.0) ** 4 - (30.0 / 12.0) ** 2)
+    assert following == pytest.approx(0.01 * wanted + 0.99 * 1.5 * math.tanh(wanted / 1.5))
+    assert cut_in("sum")[0] == -8.0
+    assert cut_in("acc", coolness=0.0)[0] == -8.0
+
+
+def test_the_acc_model_looks_at_the_leaders_acceleration_of_the_same_step():
+    """A leader that brakes from this step on: last step's acceleration was 0."""
+    drivers = {"drivers": {"car_following": "acc"}, "warmup": [0.0, 0.0]}
+    simulator = Simulator("paper", overrides=drivers)
+    simulator.reset()
+    cars = [
+        {"lane": 1, "position": 100.0, "speed": 20.0},
+        {"lane": 1, "position": 115.0, "speed": 20.0},
+        {"lane": 1, "position": 125.0, "speed": 5.0, "desired_speed": 5.0},
+    ]
+    stage(simulator, *cars)
+    simulator.step()
+    first, second, _ = simulator.vehicles[0]["acceleration"][:3]
+    assert second == -8.0
+    gap = 15.0 - 4.8
+    wanted = 2.0 * (1.0 - (20.0 / 30.0) ** 4 - (25.0 / gap) ** 2)
+    heuristic = 400.0 * -8.0 / (400.0 + 2.0 * gap * 8.0)
+    expected = 0.01 * wanted + 0.99 * (heuristic + 1.5 * math.tanh((wanted - heuristic) / 1.5))
+    assert expected < -6.0
+    assert first == pytest.approx(expected)
+
+
+def test_an_accelerating_leader_drags_nobody_beyond_the_desired_speed():
+    drivers = {"drivers": {"car_following": "acc"}, "warmup": [0.0, 0.0]}
+    simulator = Simulator("paper", overrides=drivers)
+    simulator.reset()
+    stage(
+        simulator,
+        {"lane": 1, "position": 100.0, "speed": 20.0, "desired_speed": 20.0},
+        {"lane": 1, "position": 150.0, "speed": 20.0, "desired_speed": 60.0},
+    )
+    for _ in range(50):
+        simulator.step()
+        assert simulator.vehicles[0, 0]["speed"] <= 20.0 + 1e-12
+
+
+@pytest.mark.parametrize("form", ["sum", "acc"])
+def test_in_equilibrium_the_acc_model_is_the_idm(form):
+    """Steady following: gap (s0 + v T)/sqrt(1 - (v/v0)^4), where both laws give 0."""
+    simulator = Simulator(
+        "paper", overrides={"drivers": {"car_following": form}, "warmup": [0.0, 0.0]}
+    )
+    simulator.reset()
+    leader = {"lane": 1, "position": 300.0, "speed": 15.0, "desired_speed": 15.0}
+    stage(
+        simulator,
+        leader,
+        {"lane": 1, "position": 260.0, "speed": 15.0, "desired_speed": 30.0},
+    )
+    for _ in range(440):
+        simulator.step()
+    cars = simulator.vehicles[0]
+    assert cars["position"][0] < 1000.0
+    gap = cars["position"][0] - cars["position"][1] - 4.8
+    assert gap == pytest.approx(20.0 / math.sqrt(1.0 - 0.5**4), rel=1e-3)
+    assert cars["acceleration"][1] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("form", ["max", "sum", "acc"])
+def test_alone_on_the_road_a_driver_reaches_the_desired_speed(form):
+    simulator = Simulator(
+        "paper",
+        overrides={
+            "drivers": {"car_following": form},
+            "departures": {"interval": [500.0, 500.0], "desired_speed": [25.0, 25.0]},
+            "command": {"probability": 0.0},
+            "road": {"length": 5000.0},
+            "warmup": [700.0, 700.0],
+        },
+    )
+    simulator.reset()
+    cars = simulator.vehicles[0][simulator.vehicles[0]["id"] >= 0]
+    assert len(cars) > 0
+    assert cars["speed"].max() == pytest.approx(25.0, abs=0.01)
+    assert (cars["speed"] <= 25.0).all()

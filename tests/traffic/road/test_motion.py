@@ -1,0 +1,226 @@
+"""Motion along the road, and lane keeping on it."""
+
+import math
+
+import numpy as np
+import pytest
+from staging import command, stage
+
+from marl_lanes.scenario import ScenarioError, load_scenario
+from marl_lanes.traffic.machine.state import Phase
+from marl_lanes.traffic.road.geometry import curvature_at, road_turn_rate
+from marl_lanes.traffic.road.lane_keeping import keep_lane
+from marl_lanes.traffic.road.motion import integrate
+from marl_lanes.traffic.simulator import Simulator
+
+NO_COMMANDS = {"command": {"probability": 0.0}}
+
+
+def one_arc(radius, **overrides):
+    arcs = [{"start": 0.0, "end": 900.0, "radius": radius, "transition": 0.0}]
+    return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides})
+
+
+def place(simulator, **values):
+    """The first vehicle of a simulator, at rest in lane 0's centre but for ``values``."""
+    car = simulator.vehicles[0, 0]
+    for name in ("position", "acceleration", "yaw", "yaw_rate", "yaw_acceleration", "lane"):
+        car[name] = 0
+    car["lateral_position"], car["speed"] = 1.875, 20.0
+    for name, value in values.items():
+        car[name] = value
+    return car
+
+
+def advance(simulator, car, *, is_keeping=True):
+    arcs, constants = simulator.parameters.arcs, simulator.parameters.constants[0]
+    turn_rate = road_turn_rate(car, arcs)
+    if is_keeping:
+        car["yaw_acceleration"] = keep_lane(car, turn_rate, constants)
+    integrate(car, turn_rate, arcs, constants)
+
+
+def test_the_curvature_is_a_step_or_rises_and_falls_linearly():
+    arcs = [
+        {"start": 150.0, "end": 450.0, "radius": 500.0, "transition": 0.0},
+        {"start": 550.0, "end": 850.0, "radius": -500.0, "transition": 100.0},
+    ]
+    found = Simulator("paper", overrides={"road": {"arcs": arcs}}).parameters.arcs
+    step = {149.99: 0.0, 150.0: 0.002, 449.99: 0.002, 450.0: 0.0}
+    ramp = {549.0: 0.0, 550.0: 0.0, 575.0: -0.0005, 649.0: -0.00198, 650.0: -0.002, 750.0: -0.002}
+    ramp |= {800.0: -0.001, 849.0: -0.00002, 850.0: 0.0, 999.0: 0.0}
+    for place, curvature in (step | ramp).items():
+        assert curvature_at(found, place) == pytest.approx(curvature, abs=1e-15), place
+
+
+def test_one_step_by_hand():
+    simulator = Simulator("paper")
+    car = place(simulator, acceleration=2.0, yaw=0.1, yaw_rate=0.2, yaw_acceleration=0.5)
+    advance(simulator, car, is_keeping=False)
+    assert car["speed"] == pytest.approx(20.2)
+    assert car["yaw_rate"] == pytest.approx(0.25)
+    assert car["yaw"] == pytest.approx(0.125)
+    assert car["position"] == pytest.approx(2.02 * math.cos(0.125))
+    assert car["lateral_position"] == pytest.approx(1.875 + 2.02 * math.sin(0.125))
+    assert car["lane_low"] == 0
+    assert car["lane_high"] == 0
+
+
+def test_vehicles_stop_and_do_not_reverse():
+    simulator = Simulator("paper")
+    car = place(simulator, speed=0.3, acceleration=-8.0, yaw=0.05, yaw_rate=0.01)
+    advance(simulator, car)
+    assert (car["speed"], car["position"], car["lateral_position"]) == (0.0, 0.0, 1.875)
+    assert car["yaw_rate"] == 0.0
+
+
+def test_the_yaw_rate_is_bounded_by_the_turning_radius():
+    simulator = Simulator("paper")
+    for sign in (1.0, -1.0):
+        car = place(simulator, speed=2.0, yaw_rate=sign * 0.1, yaw_acceleration=sign * 100.0)
+        advance(simulator, car, is_keeping=False)
+        assert car["yaw_rate"] == pytest.approx(sign * 2.0 / 5.5)
+        assert car["yaw_acceleration"] == pytest.approx(sign * (2.0 / 5.5 - 0.1) / 0.1)
+
+
+def test_what_a_vehicle_reports_is_what_it_did():
+    """(after - before)/dt, of speed and of yaw rate, stopping and standing included."""
+    simulator = Simulator("interactive", 4, seed=2, overrides={"num_agents": None, "horizon": None})
+    generator = np.random.default_rng(2)
+    simulator.reset()
+    num_asked_for_more = 0
+    for _ in range(400):
+        before = simulator.vehicles.copy()
+        actions = generator.uniform(-0.5, 0.5, (*simulator.agents.shape, 2))
+        # Half of the agents brake to a standstill.
+        actions[:, ::2, 1] = -3.0
+        simulator.step(actions)
+        is_same = (before["id"] == simulator.vehicles["id"]) & (before["id"] >= 0)
+        old, new = before[is_same], simulator.vehicles[is_same]
+        for name, rate in (("speed", "acceleration"), ("yaw_rate", "yaw_acceleration")):
+            assert new[rate] == pytest.approx((new[name] - old[name]) / 0.1, abs=1e-9)
+        num_asked_for_more += int(((new["speed"] == 0.0) & (new["agent"] >= 0)).sum())
+    assert num_asked_for_more > 100
+
+
+def test_asking_for_more_than_can_be_is_not_paid():
+    """A standing changer that goes on braking drives, sees and earns what one does that rests."""
+    ends = []
+    for wanted in (-3.0, 0.0):
+        simulator = Simulator(
+            "interactive", seed=1, overrides={"num_agents": None, "horizon": None}
+        )
+        simulator.reset()
+        simulator.advance_until_live()
+        slot = int(np.argmax(simulator.is_live[0]))
+        for count in range(350):
+            acceleration = -3.0 if count < 250 else wanted
+            simulator.step(np.full((1, simulator.num_slots, 2), [0.0, acceleration]))
+        car = simulator.vehicles[0, simulator.agents[0, slot]["vehicle"]]
+        assert car["speed"] == car["acceleration"] == 0.0
+        ends.append(simulator.snapshot())
+        # Nobody ahead lets it stand: car following alone would drive on.
+        assert simulator.agents[0, slot]["car_following"] > 0.0
+    assert ends[0] == ends[1]
+
+
+def test_car_following_asks_of_a_standing_driver_to_stand():
+    simulator = Simulator("interactive", overrides={"warmup": [0.0, 0.0]})
+    simulator.reset()
+    stage(
+        simulator,
+        {"lane": 1, "position": 100.0, "speed": 0.0},
+        {"lane": 1, "position": 106.0, "speed": 0.0, "desired_speed": 0.01},
+    )
+    agent = command(simulator, 0, 1, Phase.WAITING)
+    simulator.step(np.full((1, simulator.num_slots, 2), [0.0, -3.0]))
+    column = list(simulator.scenario.observation.features).index("car_following_acceleration")
+    assert simulator.agents[0, agent]["car_following"] == 0.0
+    assert simulator.state.observations[0, agent, column] == 0.0
+    assert simulator.agents[0, agent]["reward_longitudinal"] == 0.0
+
+
+@pytest.mark.parametrize("radius", [150.0, -150.0, 1e9])
+def test_the_road_frame_agrees_with_the_plane(radius):
+    """The same yaw rates integrated in Cartesian coordinates lead to the same place."""
+    step = 0.01
+    simulator = one_arc(radius, time_step=step)
+    car = place(simulator, lateral_position=3.0, speed=15.0, yaw_rate=15.0 / radius)
+    # The centre of the right edge's circle is the origin; the vehicle begins on the y axis.
+    x, y, heading = 0.0, 3.0 - radius, 0.0
+    for count in range(600):
+        car["yaw_acceleration"] = 0.1 * math.sin(0.01 * count)
+        advance(simulator, car, is_keeping=False)
+        heading += car["yaw_rate"] * step
+        x += 15.0 * math.cos(heading) * step
+        y += 15.0 * math.sin(heading) * step
+    angle = math.atan2(x, -y) if radius > 0 else math.atan2(x, y)
+    distance = radius - math.copysign(math.hypot(x, y), radius)
+    assert car["position"] == pytest.approx(abs(radius) * angle, abs=0.05)
+    assert car["lateral_position"] == pytest.approx(distance, abs=0.05)
+    assert car["yaw"] == pytest.approx(heading - angle * math.copysign(1.0, radius), abs=0.002)
+    assert abs(car["lateral_position"] - 3.0) > 1.0
+
+
+@pytest.mark.parametrize("radius", [60.0, 500.0])
+def test_mirrored_arcs_give_mirrored_motion(radius):
+    """Lane 0 on the left of an edge and lane -1 on its right are mirror images."""
+    left, right = one_arc(radius), one_arc(-radius)
+    car = place(left, yaw=0.02, yaw_rate=-0.01, lateral_position=2.2)
+    image = place(right, yaw=-0.02, yaw_rate=0.01, lateral_position=-2.2, lane=-1)
+    for _ in range(200):
+        advance(left, car)
+        advance(right, image)
+        assert image["position"] == car["position"]
+        for name in ("lateral_position", "yaw", "yaw_rate", "yaw_acceleration"):
+            assert image[name] == -car[name], name
+
+
+@pytest.mark.parametrize("radius", [500.0, -500.0])
+def test_lane_keeping_holds_the_centre_through_an_arc(radius):
+    arcs = [{"start": 150.0, "end": 850.0, "radius": radius, "transition": 0.0}]
+    simulator = Simulator("paper", 2, overrides={**NO_COMMANDS, "road": {"arcs": arcs}})
+    simulator.reset()
+    largest = settled = 0.0
+    for _ in range(600):
+        simulator.step()
+        cars = simulator.vehicles[simulator.vehicles["id"] >= 0]
+        error = np.abs(cars["lateral_position"] - 3.75 * (cars["lane"] + 0.5))
+        largest = max(largest, error.max())
+        # Seven seconds at 33 m/s after the arc has begun.
+        is_far_in = (cars["position"] > 400.0) & (cars["position"] < 850.0)
+        settled = max(settled, error[is_far_in].max(initial=0.0))
+    assert 0.05 < largest < 0.25
+    assert settled < 0.02
+
+
+@pytest.mark.parametrize("speed", [5.0, 15.0, 35.0])
+@pytest.mark.parametrize("lateral", [1.0, 3.0])
+def test_lane_keeping_returns_to_the_centre(speed, lateral):
+    simulator = Simulator("paper")
+    car = place(simulator, speed=speed, lateral_position=lateral, yaw=0.02, yaw_rate=0.02)
+    for _ in range(150):
+        advance(simulator, car)
+        assert abs(car["yaw_acceleration"]) <= 0.5
+    assert car["lateral_position"] == pytest.approx(1.875, abs=1e-3)
+    assert car["yaw"] == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("time_step", [0.01, 0.1, 0.125, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize("pole", [0.2, 1.5, 2.5, 3.0])
+def test_lane_keeping_is_stable_or_refused(pole, time_step):
+    fields = {
+        "time_step": time_step,
+        "lane_keeping": {"pole": pole, "max_yaw_acceleration": 5.0},
+        **NO_COMMANDS,
+    }
+    if pole * time_step > 0.5:
+        with pytest.raises(ScenarioError, match=r"lane_keeping\.pole"):
+            load_scenario("paper", fields)
+        return
+    scenario = load_scenario("paper", fields)
+    simulator = Simulator(scenario)
+    car = place(simulator, lateral_position=1.875 + 0.1)
+    for _ in range(round(15.0 / (pole * time_step))):
+        advance(simulator, car)
+    assert abs(car["lateral_position"] - 1.875) < 0.01

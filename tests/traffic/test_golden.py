@@ -1,0 +1,43 @@
+"""What happens on the roads is what was recorded, field by field."""
+
+import json
+import os
+import subprocess
+import sys
+
+import golden
+import pytest
+
+RECORDED = json.loads(golden.FILE.read_text(encoding="utf-8"))
+
+pytestmark = pytest.mark.skipif(
+    golden.fingerprint() != RECORDED["fingerprint"],
+    reason="recorded where sin, cos or pow round the last bit differently",
+)
+
+
+def test_every_scenario_is_recorded():
+    assert set(RECORDED["long"]) == set(RECORDED["short"]) == set(golden.SCENARIOS)
+
+
+@pytest.mark.parametrize("name", golden.SCENARIOS)
+def test_the_roads_are_those_recorded(name):
+    found = golden.record(name, **golden.LONG)
+
+    recorded = RECORDED["long"][name]
+    assert found.keys() == recorded.keys()
+    assert [field for field in found if found[field] != recorded[field]] == []
+
+
+def test_the_same_where_nothing_is_compiled():
+    names = ["learned", "mixed", "curved"]
+
+    result = subprocess.run(
+        [sys.executable, golden.__file__, "short", *names],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+    assert json.loads(result.stdout) == {name: RECORDED["short"][name] for name in names}
