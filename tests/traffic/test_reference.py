@@ -71,10 +71,14 @@ class Case:
     has_learner: bool = False
     pushing: float = 0.0
     policies: dict = field(default_factory=dict)
+    num_roads: int = 1
 
 
 CASES = {
-    **{name: Case(name, {"observation": EVERY_FEATURE}, 120) for name in list_scenarios()},
+    **{
+        name: Case(name, {"observation": EVERY_FEATURE}, 120, num_roads=2)
+        for name in list_scenarios()
+    },
     "mixed": Case("paper", MIXED, 200, seed=1, meets=(Outcome.COMPLETED,)),
     "settled changes": Case("paper", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
     "sum": Case("dense", {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "sum"}}, 60),
@@ -347,7 +351,7 @@ def follow(case):
     """Run the case, every step held against the oracle; the phases and outcomes that occurred."""
     simulator = Simulator(
         case.scenario,
-        2,
+        case.num_roads,
         seed=case.seed,
         overrides=case.overrides,
         learned_followers=case.has_learner,
@@ -358,7 +362,7 @@ def follow(case):
     names = simulator.scenario.followers.external_names
     met = set()
     for _ in range(case.num_steps):
-        roads = [Road.of(simulator, env) for env in range(2)]
+        roads = [Road.of(simulator, env) for env in range(case.num_roads)]
         moving = [moving_over(road) for road in roads]
         actions = damped_actions(simulator, case.noise, generator)
         actions[..., 0] += case.bias

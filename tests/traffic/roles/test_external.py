@@ -244,6 +244,7 @@ def count_collisions(guarded):
     return int(simulator.roads["num_collisions"].sum()), num_paired
 
 
+@pytest.mark.slow
 def test_the_guard_is_what_keeps_a_reckless_policy_from_colliding():
     """2,000 maneuvers with followers that always want 3 m/s^2, with the guard and without."""
     collisions, num_paired = count_collisions(guarded=True)
