@@ -1,7 +1,7 @@
 # make train  - train the shared NAF policy on the paper's scenario, evaluate it, write the report
 # make check  - linters, import contract, type checker, the tests that neither train nor take long
 # make test   - the same with all tests
-# make benchmark - environment beside its peers, batches beside a bare kernel, an update beside bare PyTorch
+# make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch
 # Each sets up .venv when it is missing or out of date.
 
 PYTHON ?= python3

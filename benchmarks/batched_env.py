@@ -1,10 +1,11 @@
-"""Batches: vehicle-steps/s of LaneChangeEnv and of the simulator, against a bare kernel.
+"""Batches: vehicle-steps/s of LaneChangeEnv and of the simulator, compared with a bare kernel.
 
 python benchmarks/batched_env.py [--rounds N] [--json FILE]
 
-The limit (limit.py) does the least that such a step must do, on as many roads and vehicles. In each
-row the contestants take turns (A B A B ...); medians. ``cost`` is that of the simulator. Whether it
-is flat is measured in turn as well, over the numbers of roads and over those of vehicles.
+The limit (limit.py) does only the necessary work of a step, on the same number of roads and
+vehicles. In each row the contestants take turns (A B A B ...) and the table shows medians. ``cost``
+is the simulator's time per vehicle-step. Separate rounds compare it over the numbers of roads, and
+over the numbers of vehicles.
 """
 
 import os
@@ -25,19 +26,19 @@ from turns import (
     print_target,
     read_options,
     take_turns,
-    write_json,
 )
 
 from marl_lanes import LaneChangeEnv, Simulator
+from marl_lanes.files import write_json
 
 SECONDS = 0.4
-"""How long each runs in a turn."""
+"""[s] Length of a turn."""
 ENVS = (1, 8, 64, 512, 1024, 2048, 8192)
 ENDLESS: dict[str, Any] = {"num_agents": None, "horizon": None}
 DENSITIES = (10, 25, 50, 100, 200)
 """Vehicles on a road of 5 km."""
 _CROSSING = 180.0
-"""[s] About what a vehicle takes for 5 km."""
+"""[s] Approximate time of a vehicle on 5 km."""
 
 
 def make_limit(num_envs: int, num_vehicles: int, num_threads: int, length: float) -> Contestant:
@@ -57,7 +58,7 @@ def make_limit(num_envs: int, num_vehicles: int, num_threads: int, length: float
 
 
 def make_simulator(num_envs: int, num_threads: int, overrides: Mapping[str, Any]) -> Contestant:
-    """The batch below both environments."""
+    """The simulator, on which both environments are built."""
     simulator = Simulator("paper", num_envs, num_threads=num_threads, overrides=overrides)
     simulator.reset()
     return _steps(simulator.step, lambda: int(simulator.roads["num_vehicles"].sum()), num_envs)
@@ -85,7 +86,7 @@ def make_env(
 
     def step() -> None:
         env.step(data)
-        # As in a rollout: a step of data that has a "next" merges the two, which takes time.
+        # As in a rollout: a step merges an old "next" into the new one, which takes time.
         del data["next"]
 
     return _steps(step, lambda: int(roads["num_vehicles"].sum()), num_envs)
@@ -103,7 +104,7 @@ def _steps(step: Callable[[], Any], count: Callable[[], int], num_envs: int) -> 
 
 
 def density_overrides(num_vehicles: int) -> dict[str, Any]:
-    """5 km with about so many vehicles, warmed up until the first have crossed it."""
+    """5 km with about ``num_vehicles``, warmed up until the first vehicles have crossed it."""
     mean = 3 * _CROSSING / num_vehicles
     return {
         **ENDLESS,
@@ -118,7 +119,7 @@ def density_overrides(num_vehicles: int) -> dict[str, Any]:
 def run_row(
     label: str, contestants: Mapping[str, Contestant], rounds: int, figures: dict[str, object]
 ) -> dict[str, list[Rate]]:
-    """Turns of one row; prints and notes it."""
+    """Run the turns of one row, print it and add it to ``figures``."""
     rates = take_turns(contestants, rounds, SECONDS)
     rows = {name: median(values).vehicle_steps for name, values in rates.items()}
     cost = 1e9 / rows["simulator"]
@@ -158,13 +159,14 @@ def main() -> None:
         run_row(f"64 roads, {num_vehicles} vehicles", contestants, options.rounds, figures)
     print_targets(kept, options.rounds, figures)
     compare_groups(options.rounds, figures)
-    write_json(options.json, figures)
+    if options.json is not None:
+        write_json(options.json, figures)
 
 
 def print_targets(
     kept: Mapping[int, dict[str, list[Rate]]], rounds: int, figures: dict[str, object]
 ) -> None:
-    """The targets beside the figures."""
+    """Print the figures that have a target, with it."""
     for num_envs, rates in kept.items():
         if num_envs < 64:
             continue
@@ -191,14 +193,14 @@ def print_targets(
 
 
 def find_spread(contestants: Sequence[Contestant], rounds: int) -> float:
-    """The dearest vehicle-step over the cheapest, each against the first contestant's, in turn."""
+    """Largest over smallest time per vehicle-step, each relative to the first contestant's."""
     rates = take_turns({str(place): one for place, one in enumerate(contestants)}, rounds, SECONDS)
     costs = [median_ratio(rates["0"], values, "vehicle_steps") for values in rates.values()]
     return max(costs) / min(costs)
 
 
 def compare_groups(rounds: int, figures: dict[str, object]) -> None:
-    """The environment with followers as a second group of agents, beside changers alone."""
+    """Compare the environment with followers as a second group of agents and without them."""
     groups = {"changers": False, "changers and followers": True}
     contestants = {
         label: make_env(1024, 1, ENDLESS, scenario="dense", learned_followers=has_followers)

@@ -1,7 +1,7 @@
-"""The least that a step of a batch of roads must do: the limit for the simulator's speed.
+"""Only the necessary work of a step of many roads: the limit for the simulator's speed.
 
-Two-leader IDM, yaw, integration, order kept; no agents, no departures, no collisions, no
-observations, no random numbers. Vehicles that reach the road's end begin again.
+IDM with two leaders, yaw, integration, sorting; no agents, no departures, no collisions, no
+observations, no random numbers. Vehicles that reach the road's end start again.
 """
 
 from typing import Any
@@ -73,7 +73,7 @@ def advance(
         for rank in range(num_vehicles):
             car = order[env, rank]
             velocity = max(0.0, speed[env, car] + acceleration[env, car] * _STEP)
-            # An undamped swing about the road's direction: no vehicle ever comes to rest.
+            # An undamped oscillation about the road's direction, so that every vehicle turns.
             rate = yaw_rate[env, car] - 4.0 * yaw[env, car] * _STEP
             heading = yaw[env, car] + rate * _STEP
             speed[env, car] = velocity
@@ -91,7 +91,7 @@ def advance(
 
 
 class Limit:
-    """E roads of V vehicles each under ``advance``.
+    """E roads with V vehicles each, moved by ``advance``.
 
     Args:
         num_envs: E.

@@ -1,15 +1,14 @@
-"""One NAF update beside the same arithmetic in bare PyTorch, in the same run.
+"""One NAF update compared with the same arithmetic in bare PyTorch, in the same run.
 
 python benchmarks/naf_update.py [--rounds N] [--eager] [--json FILE]
 
 An update is what ``Learner.update`` does: draw a batch, loss, backward, fused Adam, soft target.
-The bare one has plain tensors for the replay and functions for the networks, and no library but
-torch. Before they are timed both make the same updates from the same start, which must end in the
-same parameters. Then they take turns (A B A B ...); the table shows medians of CPU time.
+The bare one has plain tensors for the replay buffer and functions for the networks, and no library
+except torch. Before the timing both make the same updates from the same start, and must end with
+the same parameters. Then they take turns (A B A B ...); the table shows medians of CPU time.
 """
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,30 +19,26 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.functional import mse_loss, softplus
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
+from marl_lanes.files import write_json
 from marl_lanes.naf.lateral import A_MAX_FLOOR, PaperMu
 from marl_lanes.naf.network import LOG_DIAGONAL_BOUND
+from marl_lanes.training.algorithms.naf import NAF, NAFConfig
 from marl_lanes.training.checkpoint import make_network
-from marl_lanes.training.config import (
-    CollectorConfig,
-    ExplorationConfig,
-    LearnerConfig,
-    LossConfig,
-    OptimizerConfig,
-    ReplayConfig,
-)
+from marl_lanes.training.config import validate
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.replay import Replay
 
 TARGETS = {64: 1.3, 1024: 1.1}
-"""Time of an update over that of the bare one, both eager: at most this."""
+"""Target: largest ratio of the time of an update to that of the bare one, both eager."""
 CAPACITY = 65_536
 GAMMA, TAU, RATE = 0.99, 0.02, 5e-4
 UPDATES_PER_TURN = {64: 128, 1024: 32}
 CHECKED_UPDATES = 20
 TOLERANCE = 2e-5
-"""Largest difference of parameters that are to be the same, after CHECKED_UPDATES."""
+"""Largest allowed difference of the parameters after CHECKED_UPDATES."""
 
 
 class BareUpdate:
@@ -79,12 +74,13 @@ class BareUpdate:
         self.parameters = [*self.factor, *self.value, *self.mu]
         self.data = [value.detach() for value in self.parameters]
         self.target = [value.clone() for value in self.data]
+        self.update_target: Callable[..., None] = get_ema_multi_avg_fn(1.0 - TAU)  # type: ignore[no-untyped-call]
         self.target_value = self.target[len(self.factor) : len(self.factor) + len(self.value)]
         self.optimizer = torch.optim.Adam(self.parameters, lr=RATE, fused=True)
         self.loss: Callable[..., Tensor] = torch.compile(self._loss) if is_compiled else self._loss
 
     def update(self, number: int) -> list[float]:
-        """So many updates; their losses."""
+        """Make ``number`` updates; returns their losses."""
         return torch.stack([self._take_step() for _ in range(number)]).tolist()
 
     def _take_step(self) -> Tensor:
@@ -94,7 +90,7 @@ class BareUpdate:
         loss = self.loss(**batch)
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
-        torch._foreach_lerp_(self.target, self.data, TAU)
+        self.update_target(self.target, self.data, None)
         return loss.detach()
 
     def _loss(
@@ -158,33 +154,44 @@ def make_learner(
     network: NAFNetwork, replay: Mapping[str, Tensor], batch_size: int, *, is_compiled: bool
 ) -> Learner:
     """A learner with the transitions in its replay buffer; it does not collect any."""
-    config = LearnerConfig(
-        CollectorConfig(num_envs=1, steps_per_batch=1, total_transitions=1),
-        ReplayConfig(
-            capacity=CAPACITY,
-            storage="memory",
-            batch_size=batch_size,
-            rare_share=0.0,
-            warmup_transitions=0,
-        ),
-        LossConfig(gamma=GAMMA, target_update="soft", tau=TAU, target_interval=1),
-        OptimizerConfig(
-            learning_rate=RATE,
-            mu_learning_rate=RATE,
-            final_rate=1.0,
-            max_gradient_norm=None,
-            transitions_per_update=1.0,
-            pretraining_transitions=0,
-            compile=is_compiled,
-        ),
-        ExplorationConfig(
-            initial_sigma=0.1,
-            final_sigma=0.1,
-            annealing_transitions=1,
-            longitudinal_factor=1.0,
-        ),
+    config = validate(
+        NAFConfig,
+        {
+            "collector": {"num_envs": 1, "steps_per_batch": 1, "total_transitions": 1},
+            "replay": {
+                "capacity": CAPACITY,
+                "storage": "memory",
+                "batch_size": batch_size,
+                "rare_share": 0.0,
+                "warmup_transitions": 0,
+            },
+            "loss": {"gamma": GAMMA, "target_update": "soft", "tau": TAU, "target_interval": 1},
+            "optimizer": {
+                "learning_rate": RATE,
+                "mu_learning_rate": RATE,
+                "final_rate": 1.0,
+                "max_gradient_norm": None,
+                "transitions_per_update": 1.0,
+                "pretraining_transitions": 0,
+                "compile": is_compiled,
+            },
+            "exploration": {
+                "initial_sigma": 0.1,
+                "final_sigma": 0.1,
+                "annealing_transitions": 1,
+                "longitudinal_factor": 1.0,
+            },
+            "evaluation": {
+                "save_interval": 1,
+                "num_maneuvers": 1,
+                "final_num_maneuvers": 1,
+                "seed": 0,
+                "criterion": None,
+            },
+        },
     )
-    learner = Learner(config, LaneChangeEnv("paper"), network)
+    env = LaneChangeEnv("paper")
+    learner = Learner(config, env, NAF(config, env, network))
     # A training makes it when it begins, in its run folder; one in memory needs none.
     learner.replay = Replay(config.replay, Path("unused"), 0)
     is_end = replay["terminated"]
@@ -196,7 +203,7 @@ def make_learner(
     return learner
 
 
-def check_same(learner: Learner, bare: BareUpdate) -> float:
+def check_same(learner: Learner, network: NAFNetwork, bare: BareUpdate) -> float:
     """Largest difference of any parameter or target after the same updates from the same start.
 
     Raises:
@@ -205,8 +212,7 @@ def check_same(learner: Learner, bare: BareUpdate) -> float:
     for contestant in (learner, bare):
         torch.manual_seed(7)
         contestant.update(CHECKED_UPDATES)
-    network = learner.network
-    targets = learner.loss.target_value_network_params
+    targets = learner.algorithm.loss.target_value_network_params
     with targets.to_module(network):
         ours = _all_parameters(network)
     pairs = zip([*_all_parameters(network), *ours], [*bare.parameters, *bare.target], strict=True)
@@ -222,7 +228,7 @@ def _all_parameters(network: NAFNetwork) -> list[Tensor]:
 
 
 def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, Any]:
-    """Median CPU microseconds an update of every contestant, and the ratios."""
+    """Median CPU time per update of every contestant [us], and the ratios."""
     contestants: dict[str, Callable[[int], object]] = {}
     differences = {}
     for mode in ("eager", "compiled") if has_compiled else ("eager",):
@@ -232,7 +238,7 @@ def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, An
         is_compiled = mode == "compiled"
         bare = BareUpdate(network, replay, batch_size, is_compiled=is_compiled)
         learner = make_learner(network, replay, batch_size, is_compiled=is_compiled)
-        differences[mode] = check_same(learner, bare)
+        differences[mode] = check_same(learner, network, bare)
         contestants[f"bare {mode}"] = bare.update
         contestants[f"marl_lanes {mode}"] = learner.update
     number = UPDATES_PER_TURN[batch_size]
@@ -242,7 +248,7 @@ def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, An
             start = time.process_time()
             update(number)
             times[name].append((time.process_time() - start) / number * 1e6)
-    # The first turn of each warms up. A ratio is that of neighbors in time.
+    # The first turn of each is a warm-up. A ratio is taken between turns of the same round.
     kept = {name: values[1:] for name, values in times.items()}
     base = kept["bare eager"]
     return {
@@ -283,7 +289,7 @@ def main() -> None:
                 f"parameters of both differ by at most {difference:.1e}"
             )
     if options.json is not None:
-        options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, results)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Other simulators on the paper's traffic: 1000 m, three lanes, 0.1 s, no rendering.
+"""Other simulators with the paper's traffic: 1000 m, three lanes, 0.1 s, no rendering.
 
-Each is None where its package is not installed: they come with the extra ``benchmark``.
+Their packages come with the extra ``benchmark``.
 """
 
 import importlib.util
@@ -12,7 +12,7 @@ import numpy as np
 from turns import Contestant, Rate
 
 STEPS = 20
-"""Steps of a turn between two looks at the clock."""
+"""Steps of a turn between two readings of the clock."""
 
 
 def is_installed(package: str) -> bool:
@@ -21,7 +21,7 @@ def is_installed(package: str) -> bool:
 
 
 def make_highway_env(num_vehicles: int) -> Contestant:
-    """highway-v0, ``num_vehicles`` with the one that acts, a continuous action of zero, 10 Hz."""
+    """highway-v0 with ``num_vehicles`` (one of them acts), a continuous action of zero, 10 Hz."""
     import gymnasium
     import highway_env  # noqa: F401 - registers its environments
 
@@ -58,7 +58,7 @@ _NET = """<net version="1.20">
 _LANE = """<lane id="road_{lane}" index="{lane}" speed="60" length="1000" width="3.75"
  shape="0,{y} 1000,{y}"/>"""
 _LAST_DEPARTURE = 36_000.0
-"""[s] of the written traffic; the simulation begins again before."""
+"""[s] Length of the written traffic; the simulation restarts before it ends."""
 
 
 def _write_sumo(folder: Path) -> None:
@@ -92,7 +92,8 @@ def _write_sumo(folder: Path) -> None:
 def make_sumo() -> tuple[Contestant, Contestant]:
     """Libsumo, bare and with four reads of every vehicle after each step.
 
-    IDM, the paper's departures on every lane; one simulation, as a process can hold one only.
+    IDM, the paper's departures on every lane. Both share one simulation, because libsumo allows
+    only one per process.
     """
     import libsumo
 

@@ -8,26 +8,25 @@ the recipes of agents/naf: microseconds for each collected live transition.
 """
 
 import argparse
-import json
 import statistics
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import torch
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from marl_lanes import LaneChangeEnv, NAFNetwork, load_scenario
-from marl_lanes.envs.batched import GROUP
+from marl_lanes import LaneChangeEnv, load_scenario
+from marl_lanes.files import write_json
+from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
-from marl_lanes.training.config import TrainingConfig, register
+from marl_lanes.training.command_line import compose_fields
+from marl_lanes.training.config import EVALUATED, read_config
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.run_folder import EVALUATED
 from marl_lanes.training.timing import OTHER, format_split
 from marl_lanes.training.transitions import LivePolicy
 
@@ -66,7 +65,7 @@ def measure_slots(rounds: int) -> list[dict[str, float]]:
             "observation": torch.randn(NUM_ENVS, slots, len(network.features)),
             "acting": acting.reshape(NUM_ENVS, slots),
         }
-        data = TensorDict({GROUP: TensorDict(group, [NUM_ENVS, slots])}, [NUM_ENVS])
+        data = TensorDict({CHANGER.group: TensorDict(group, [NUM_ENVS, slots])}, [NUM_ENVS])
         for name in ("live", "all"):
             counted = Counted(network.policy().module)
             contestants[slots, name] = counted, _stepper(name, counted, data)
@@ -96,14 +95,13 @@ def _stepper(name: str, counted: Counted, data: TensorDict) -> Callable[[], obje
 
     def on_all() -> object:
         with torch.no_grad():
-            return counted(data[GROUP, "observation"])
+            return counted(data[CHANGER.group, "observation"])
 
     return on_all
 
 
 def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float]]:
     """A short training's time by activity, without evaluating and saving."""
-    register("training_schema", TrainingConfig)
     options = [
         f"recipe={recipe}",
         f"collector.total_transitions={transitions}",
@@ -111,14 +109,14 @@ def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float
         # In stage two from the start: mu learns, too.
         "optimizer.pretraining_transitions=0",
     ]
-    with initialize_config_dir(str(PROGRAM), version_base="1.3"):
-        config: Any = OmegaConf.to_object(compose("config", options))
+    config = read_config(TrainingConfig, compose_fields(TrainingConfig, PROGRAM, options))
     scenario = load_scenario(config.scenario)
     env = LaneChangeEnv(
         scenario, config.collector.num_envs, seed=0, overrides=config.training_overrides
     )
     torch.manual_seed(0)
-    learner = Learner(config, env, make_network(scenario, config.network.mu))
+    network = make_network(scenario, config.network.mu)
+    learner = Learner(config, env, NAF(config, env, network))
     with tempfile.TemporaryDirectory() as folder:
         learner.begin(Path(folder) / "run")
         learner.train(_no_evaluation)
@@ -126,7 +124,7 @@ def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float
     return learner.split
 
 
-def _no_evaluation(network: NAFNetwork) -> dict[str, None]:  # noqa: ARG001 - evaluates nothing
+def _no_evaluation(network: PolicyNetwork) -> dict[str, None]:  # noqa: ARG001 - evaluates nothing
     return dict.fromkeys(EVALUATED)
 
 
@@ -157,7 +155,7 @@ def main() -> None:
         print(format_split(splits[recipe]))
     if options.json is not None:
         result = {"slots": slots, "split": splits, "other_target": OTHER_TARGET}
-        options.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, result)
 
 
 if __name__ == "__main__":

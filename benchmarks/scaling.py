@@ -10,7 +10,6 @@ measured on 1,000 cores.
 """
 
 import argparse
-import json
 import os
 import statistics
 import tempfile
@@ -19,17 +18,18 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 from tensordict import TensorDictBase
 
 from marl_lanes import LaneChangeEnv
+from marl_lanes.files import write_json
+from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector, MakeCollector, TrafficCollector
-from marl_lanes.training.config import TrainingConfig, register
+from marl_lanes.training.command_line import compose_fields
+from marl_lanes.training.config import read_config
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state
@@ -48,9 +48,8 @@ Figures = dict[str, float]
 
 def read_recipe(recipe: str) -> TrainingConfig:
     """The training program's configuration."""
-    register("training_schema", TrainingConfig)
-    with initialize_config_dir(str(FOLDER), version_base="1.3"):
-        return cast("TrainingConfig", OmegaConf.to_object(compose("config", [f"recipe={recipe}"])))
+    fields = compose_fields(TrainingConfig, FOLDER, [f"recipe={recipe}"])
+    return read_config(TrainingConfig, fields)
 
 
 def make_learner(
@@ -64,7 +63,7 @@ def make_learner(
         num_threads=1,
     )
     network = make_network(env.scenario, config.network.mu, config.network.hidden_sizes)
-    learner = Learner(config, env, network, make_collector=make_collector)
+    learner = Learner(config, env, NAF(config, env, network), make_collector=make_collector)
     learner.begin(folder)
     return learner
 
@@ -174,13 +173,13 @@ def measure_replay(learner: Learner, capacity: int, folder: Path) -> dict[str, F
     size = learner.memory["bytes_per_stored_transition"]
     result = {}
     kept = learner.replay
-    settings = learner.config.replay
+    config = learner.config.replay
 
     def draw() -> None:
-        learner.replay.sample(settings.batch_size)
+        learner.replay.sample(config.batch_size)
 
     for storage in ("memory", "memmap"):
-        settings.storage, settings.capacity = storage, capacity
+        settings = config.model_copy(update={"storage": storage, "capacity": capacity})
         learner.replay = Replay(settings, folder / storage, size)
 
         def fill() -> None:
@@ -290,7 +289,7 @@ def main() -> None:
         found["plan"] = plan(config, found, list(makers)[-1])
         show(f"plan for {CORES} cores; the policy is sent as in {list(makers)[-1]}", found["plan"])
     if options.json is not None:
-        options.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        write_json(options.json, found)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""One environment: ours beside highway-env, libsumo and VMAS, at equal traffic.
+"""One environment: ours compared with highway-env, libsumo and VMAS, with equal traffic.
 
 python benchmarks/single_env.py [--rounds N] [--json FILE]
 
-The contestants take turns (A B C A B C ...); the table shows the medians of the rounds. Ours is the
-loop that a user writes, dicts in and dicts out, its resets with their warm-up included, on the
-scenario ``paper``: 1000 m, three lanes, a departure every 5 to 10 s in each. An env step of ours
-ends when an agent is live again; ``vehicle-steps`` counts every time step that passed.
+The contestants take turns (A B C A B C ...); the table shows the medians of the rounds. Ours is an
+ordinary user loop with dicts, with the resets and their warm-up, on the scenario ``paper``: 1000 m,
+three lanes, a departure every 5 to 10 s in each. Our env step ends when an agent is live again;
+``vehicle-steps`` counts every time step.
 """
 
 import statistics
@@ -21,19 +21,19 @@ from turns import (
     print_target,
     read_options,
     take_turns,
-    write_json,
 )
 
 from marl_lanes import Simulator, parallel_env
+from marl_lanes.files import write_json
 
 SECONDS = 1.0
-"""How long each runs in a turn."""
+"""[s] Length of a turn."""
 VMAS_AGENTS = 20
-"""The most that its scenario takes."""
+"""The largest number that its scenario allows."""
 
 
 def make_pettingzoo() -> Contestant:
-    """The loop that a user writes, with actions of zero."""
+    """An ordinary user loop, with actions of zero."""
     env = parallel_env("paper")
     zero = np.zeros(1, np.float32)
     roads = env.simulator.roads
@@ -54,7 +54,7 @@ def make_pettingzoo() -> Contestant:
 
 
 def measure_traffic() -> int:
-    """Vehicles on the paper's road, in the mean, rounded."""
+    """Mean number of vehicles on the paper's road, rounded."""
     simulator = Simulator("paper", 64, overrides={"num_agents": None, "horizon": None})
     simulator.reset()
     counts = []
@@ -92,7 +92,8 @@ def main() -> None:
             value = median_ratio(ours, rates[name], "steps")
             print_target(f"env steps/s of parallel_env over {name}", value, bound)
             figures[f"ratio to {name}"] = {"value": value, "target": bound}
-    write_json(options.json, figures)
+    if options.json is not None:
+        write_json(options.json, figures)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""How long the start takes, in fresh processes: the import and the first step.
+"""Time of the start, in fresh processes: the import and the first step.
 
 python benchmarks/start.py [--rounds N] [--json FILE]
 
-Each round has a process whose cache of compiled kernels is empty, then one that finds it filled.
-On a busy machine the processor time, which is printed too, says more than the clock.
+Each round has one process with an empty cache of compiled kernels, then one with a filled cache.
+On a busy machine the processor time, which is also printed, is more reliable than the wall time.
 """
 
 import os
@@ -12,7 +12,9 @@ import subprocess
 import sys
 import tempfile
 
-from turns import print_target, read_options, write_json
+from turns import print_target, read_options
+
+from marl_lanes.files import write_json
 
 _PROGRAM = """
 import time
@@ -29,7 +31,7 @@ _TARGETS = {"import": 0.5, "first step, cold cache": 15.0, "first step, warm cac
 
 
 def measure(cache: str) -> tuple[float, float, float]:
-    """Seconds of the import, of the first reset and step after it, and of the processor in all."""
+    """Wall time of the import, then of the first reset and step; total processor time [s]."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
     output = subprocess.run(
         [sys.executable, "-c", _PROGRAM], env=environment, check=True, capture_output=True
@@ -52,7 +54,8 @@ def main() -> None:
     medians = {name: statistics.median(seconds) for name, seconds in rows.items()}
     for name, bound in _TARGETS.items():
         print_target(f"{name} [s]", medians[name], bound, is_least=False)
-    write_json(options.json, {"rounds": options.rounds, **medians})
+    if options.json is not None:
+        write_json(options.json, {"rounds": options.rounds, **medians})
 
 
 if __name__ == "__main__":

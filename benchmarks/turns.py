@@ -1,7 +1,6 @@
-"""Contestants that take turns, the medians of their figures, and the report of them."""
+"""Contestants that take turns, the medians of their figures, and the output of these."""
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -10,16 +9,16 @@ from typing import NamedTuple
 
 
 class Rate(NamedTuple):
-    """What a contestant has done, or did per second."""
+    """The work of a contestant, in total or per second."""
 
     steps: float
-    """Steps of environments, as their users count them."""
+    """Steps of environments, as users count them."""
     vehicle_steps: float
-    """Vehicles on the road times the time steps that passed."""
+    """Vehicles on the road times time steps."""
 
 
 Contestant = Callable[[], Rate]
-"""Advances a little, for some milliseconds, and returns what it has done."""
+"""Advances for some milliseconds and returns the work done."""
 
 
 def run_for(contestant: Contestant, seconds: float) -> Rate:
@@ -36,7 +35,7 @@ def run_for(contestant: Contestant, seconds: float) -> Rate:
 def take_turns(
     contestants: Mapping[str, Contestant], rounds: int, seconds: float
 ) -> dict[str, list[Rate]]:
-    """A B C A B C ..., after one turn each that is not counted."""
+    """A B C A B C ..., after one uncounted turn of each."""
     for contestant in contestants.values():
         run_for(contestant, seconds)
     rates: dict[str, list[Rate]] = {name: [] for name in contestants}
@@ -47,12 +46,12 @@ def take_turns(
 
 
 def median(rates: list[Rate]) -> Rate:
-    """Figure by figure."""
+    """The median of each figure."""
     return Rate(*(statistics.median(column) for column in zip(*rates, strict=True)))
 
 
 def median_ratio(ours: list[Rate], theirs: list[Rate], figure: str) -> float:
-    """The median over the rounds of ours over theirs: the machine's drift cancels in a round."""
+    """Median of the ratios ours/theirs of the rounds: drift of the machine cancels in a round."""
     pairs = zip(ours, theirs, strict=True)
     column = Rate._fields.index(figure)
     return statistics.median(a[column] / b[column] for a, b in pairs)
@@ -69,16 +68,8 @@ def read_options(doc: str, rounds: int) -> argparse.Namespace:
 
 
 def print_target(what: str, value: float, bound: float, *, is_least: bool = True) -> bool:
-    """One line: the figure, its target, whether it holds."""
+    """Print one line: the figure, its target, and whether it holds."""
     holds = value >= bound if is_least else value <= bound
     sign = ">=" if is_least else "<="
     print(f"{what:58} {value:10.2f}  target {sign} {bound:g}: {'holds' if holds else 'MISSED'}")
     return holds
-
-
-def write_json(path: Path | None, figures: Mapping[str, object]) -> None:
-    """The figures as JSON, where a path is given."""
-    if path is not None:
-        unfinished = path.with_name(path.name + ".part")
-        unfinished.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-        unfinished.replace(path)

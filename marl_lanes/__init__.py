@@ -1,7 +1,7 @@
 """Multi-agent lane changes in interactive highway traffic.
 
-The names below are imported on first use, so that ``import marl_lanes`` stays light and does not
-import torch.
+The names below are imported on first use, so ``import marl_lanes`` is fast and does not import
+torch.
 """
 
 from importlib import import_module

@@ -12,13 +12,13 @@ from typing import Any
 import yaml
 
 from marl_lanes.scenario import Scenario, list_scenarios, load_scenario
+from marl_lanes.scenario.followers import SCRIPTED
 
 _UNTRAINED = ("tuned-cascade", "cascade-prior", "damped-prior", "lane-keeping", "random")
-_SCRIPTED = ("cooperative", "neutral", "adversarial")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 when it did what was asked, 2 on bad input."""
+    """Run the command; returns 0 on success, 2 on bad input."""
     options = _make_parser().parse_args(arguments)
     try:
         run: Callable[[argparse.Namespace], None] = options.run
@@ -43,11 +43,11 @@ def _make_parser() -> argparse.ArgumentParser:
 
     evaluate = commands.add_parser(
         "evaluate",
-        help="drive a policy on seeded traffic and measure it against the optimum",
-        description="Drive a policy on seeded traffic, watch every vehicle for 10 s after its "
-        "change, and print the metrics that docs/metrics.md defines: first the success rate, the "
-        "share of maneuvers that complete and are neither lost, in a collision nor out of their "
-        "lane in that time.",
+        help="run a policy on seeded traffic and compare it with the optimum",
+        description="Run a policy on seeded traffic, observe every vehicle for 10 s after its "
+        "change, and print the metrics that docs/metrics.md defines. The first one is the success "
+        "rate: the share of maneuvers that complete and, in these 10 s, do not leave the road, "
+        "collide or leave their lane.",
     )
     _add_policy(evaluate, is_required=True)
     _add_traffic(evaluate, num_maneuvers=1000)
@@ -55,18 +55,18 @@ def _make_parser() -> argparse.ArgumentParser:
 
     crossplay = commands.add_parser(
         "crossplay",
-        help="drive every lane changer against every kind of follower",
-        description="Drive every lane changer against every kind of follower, each pair on the "
-        "same seeded traffic, and print what comes of it with 95 % confidence intervals; "
-        "docs/metrics.md says how they are made.",
+        help="run every lane changer against every kind of follower",
+        description="Run every lane changer against every kind of follower, each pair on the "
+        "same seeded traffic, and print the metrics of each pair with 95 % confidence intervals; "
+        "docs/metrics.md defines them.",
     )
     crossplay.add_argument(
         "--changers",
         nargs="+",
         required=True,
         metavar="CHANGER",
-        help=f"checkpoints, or {', '.join(_UNTRAINED)}; CHANGER@SCENARIO drives on that scenario "
-        "instead of --scenario, with the followers replaced as well",
+        help=f"checkpoints, or {', '.join(_UNTRAINED)}; CHANGER@SCENARIO runs on that scenario "
+        "instead of --scenario, also with the followers replaced",
     )
     _add_followers(crossplay, required=True)
     _add_traffic(crossplay, num_maneuvers=1000)
@@ -75,18 +75,19 @@ def _make_parser() -> argparse.ArgumentParser:
 
     followers = commands.add_parser(
         "followers",
-        help="draw the gap behind one and the same maneuver under every kind of follower",
-        description="Drive one and the same seeded maneuver under every kind of follower, draw the "
-        "gap behind the lane changer and the follower's acceleration over time, and print the mean "
+        help="draw the gap behind the same maneuver with every kind of follower",
+        description="Run the same seeded maneuver with every kind of follower, draw the gap "
+        "behind the lane changer and the follower's acceleration over time, and print the mean "
         "gap at the entry into the lane.",
     )
     _add_policy(followers, is_required=False)
-    _add_followers(followers, default=list(_SCRIPTED))
+    _add_followers(followers, default=list(SCRIPTED))
     _add_traffic(followers, num_maneuvers=200)
     followers.add_argument(
         "--maneuver",
         type=int,
-        help="which one to draw, from 0 (default: the first that engages with a follower near)",
+        help="index of the maneuver to draw, from 0 (default: the first that engages with a "
+        "follower near)",
     )
     followers.add_argument("--figure", type=Path, required=True, help="draw to this file")
     followers.set_defaults(run=_compare_followers)
@@ -95,10 +96,12 @@ def _make_parser() -> argparse.ArgumentParser:
 
 def _add_policy(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
     policy = parser.add_mutually_exclusive_group(required=is_required)
-    policy.add_argument("checkpoint", nargs="?", help="a checkpoint of agents/naf/train.py")
+    policy.add_argument("checkpoint", nargs="?", help="a checkpoint of a training")
     note = "" if is_required else " (default: tuned-cascade)"
     policy.add_argument(
-        "--policy", choices=_UNTRAINED, help="a policy without learning instead" + note
+        "--policy",
+        choices=_UNTRAINED,
+        help="a policy without learning, instead of a checkpoint" + note,
     )
 
 
@@ -108,7 +111,7 @@ def _add_followers(parser: argparse.ArgumentParser, **options: Any) -> None:
         "--followers",
         nargs="+",
         metavar="FOLLOWER",
-        help=f"{', '.join(_SCRIPTED)}, learned:CHECKPOINT, or a name given to register_follower"
+        help=f"{', '.join(SCRIPTED)}, learned:CHECKPOINT, or a name given to register_follower"
         + note,
         **options,
     )
@@ -120,19 +123,19 @@ def _add_traffic(parser: argparse.ArgumentParser, *, num_maneuvers: int) -> None
         "--maneuvers",
         type=int,
         default=num_maneuvers,
-        help=f"how many of each (default: {num_maneuvers})",
+        help=f"number of maneuvers (default: {num_maneuvers})",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the traffic (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the traffic (default: 0)")
     parser.add_argument(
         "--import",
         action="append",
         default=[],
         dest="modules",
         metavar="MODULE",
-        help="import this module of yours first, which calls register_follower; it is looked for "
-        "in the current folder, too; may be given more than once",
+        help="first import this module, which calls register_follower; the current folder is also "
+        "searched; may be given more than once",
     )
-    parser.add_argument("--json", type=Path, help="write the numbers to this file as well")
+    parser.add_argument("--json", type=Path, help="also write the results to this file")
 
 
 def _show_scenarios(options: argparse.Namespace) -> None:
@@ -145,11 +148,11 @@ def _show_scenarios(options: argparse.Namespace) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    # Imported here: `marl-lanes scenarios` and errors in the arguments need none of it.
+    # Imported here, because `marl-lanes scenarios` and errors in the arguments do not need it.
     from marl_lanes.evaluation.metrics import evaluate
     from marl_lanes.evaluation.rollout import run_maneuvers
     from marl_lanes.evaluation.tables import format_summary
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     scenario = load_scenario(options.scenario)
@@ -175,7 +178,7 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _crossplay(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.crossplay import crossplay
     from marl_lanes.evaluation.tables import format_crossplay
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     sources = _label_changers(options.changers)
@@ -200,7 +203,7 @@ def _crossplay(options: argparse.Namespace) -> None:
 def _compare_followers(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.gaps import compare_followers
     from marl_lanes.evaluation.tables import format_gaps
-    from marl_lanes.training.files import write_json
+    from marl_lanes.files import write_json
 
     _prepare(options)
     from marl_lanes.evaluation.figures import draw_gaps
@@ -227,16 +230,16 @@ def _compare_followers(options: argparse.Namespace) -> None:
 
 
 def _prepare(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, and import the user's modules."""
+    """Reject outputs that cannot be written, and import the user's modules."""
     if options.json is not None and options.json.is_dir():
-        raise ValueError(f"--json {options.json}: must be a file, is a folder")
+        raise ValueError(f"--json {options.json}: must be a file, not a folder")
     if getattr(options, "figure", None) is not None:
         if find_spec("matplotlib") is None:
             raise ValueError("--figure: needs matplotlib: pip install 'marl-lanes[train]'")
         from marl_lanes.evaluation.figures import check_figure
 
         check_figure(options.figure)
-    # An installed command does not look for modules where it is called.
+    # An installed command does not search the current folder for modules by itself.
     folder = str(Path.cwd())
     sys.path.insert(0, folder)
     try:
@@ -252,7 +255,7 @@ def _prepare(options: argparse.Namespace) -> None:
 
 
 def _make_policy(name: str, scenario: Scenario, seed: int) -> Any:
-    """The policy of a name or of a checkpoint, which must fit the scenario."""
+    """The policy with this name or from this checkpoint; it must fit the scenario."""
     from marl_lanes.evaluation import policies
 
     if name == "random":
@@ -265,18 +268,18 @@ def _make_policy(name: str, scenario: Scenario, seed: int) -> Any:
     import torch
 
     from marl_lanes.naf.checkpoint import greedy_policy
-    from marl_lanes.training.checkpoint import load_checkpoint, make_network
+    from marl_lanes.training.checkpoint import load_policy, make_network
 
     if name in _UNTRAINED:
         torch.manual_seed(0)
         lateral = name.removesuffix("-prior")
         mu = lateral if scenario.action.longitudinal is None else f"{lateral}+idm"
         return greedy_policy(make_network(scenario, mu))
-    return greedy_policy(load_checkpoint(Path(name), scenario).network)
+    return greedy_policy(load_policy(Path(name), scenario).network)
 
 
 def _label_changers(entries: Sequence[str]) -> dict[str, tuple[str, str | None]]:
-    """Label to policy and scenario, None where the entry names no scenario."""
+    """Label to policy and scenario; None if the entry names no scenario."""
     _refuse_repeats("--changers", entries)
     found: dict[str, tuple[str, str | None]] = {}
     parts = {}
@@ -294,7 +297,7 @@ def _label_changers(entries: Sequence[str]) -> dict[str, tuple[str, str | None]]
 
 
 def _label_followers(entries: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Label to what replaces fields of a scenario's followers."""
+    """Label to the overrides of a scenario's ``followers``."""
     _refuse_repeats("--followers", entries)
     paths = {}
     for entry in entries:
@@ -321,7 +324,7 @@ def _refuse_repeats(option: str, entries: Sequence[str]) -> None:
 
 
 def _name_parts(path: str) -> tuple[str, ...]:
-    """What to call a checkpoint by, the last part first of all: run/checkpoints/final.pt is run."""
+    """Parts of a checkpoint's name, the most specific last: run/checkpoints/final.pt is run."""
     file = Path(path)
     folders = [part for part in file.parent.parts if part != file.anchor]
     if len(folders) > 1 and folders[-1] == "checkpoints":
@@ -331,7 +334,7 @@ def _name_parts(path: str) -> tuple[str, ...]:
 
 
 def _shorten(parts: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """For every entry the shortest ending of its parts that no other has; else the entry."""
+    """The shortest unique ending of each entry's parts; the entry itself if there is none."""
     depths = dict.fromkeys(parts, 1)
     while True:
         labels = {entry: "/".join(parts[entry][-depth:]) for entry, depth in depths.items()}
@@ -345,7 +348,7 @@ def _shorten(parts: Mapping[str, Sequence[str]]) -> dict[str, str]:
 
 
 class _Progress:
-    """A percentage on the terminal; nothing where the output is not one."""
+    """Shows a percentage if stderr is a terminal."""
 
     def __init__(self, activity: str, total: int) -> None:
         self.activity = activity

@@ -1,4 +1,4 @@
-"""Loading much at once: modules, and the compiled kernels."""
+"""A faster start: loading modules and compiled kernels without garbage collection."""
 
 import gc
 from collections.abc import Iterator
@@ -7,10 +7,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """No garbage collection meanwhile.
+    """Switch garbage collection off inside the block.
 
-    Modules make objects that stay. Collections, which come by the number of new objects, would
-    look through all of them again and again.
+    Modules create many objects that stay. Collections start after a number of new objects and
+    would search all of them repeatedly.
     """
     was_enabled = gc.isenabled()
     gc.disable()

@@ -1,4 +1,4 @@
-"""What the tests of the collectors drive: busy roads, a network, its noise."""
+"""Busy roads, a network and its noise, for tests of the collectors."""
 
 import torch
 from tensordict.nn import TensorDictSequential
@@ -43,7 +43,7 @@ def make(kind, *arguments, num_workers=1, sigma=0.1):
 
 
 def deviation(collector, batch):
-    """How far the actions are from what the policy says now: (N,), of the acting agents."""
+    """Distance of the actions from the present policy: (N,), of the acting agents."""
     acting = batch["changers", "acting"]
     with torch.no_grad():
         wanted = collector.policy[0].policy(batch["changers", "observation"][acting])
@@ -59,9 +59,10 @@ def assert_workers_take_the_policy(collector):
     wide = torch.cat([deviation(collector, batch) for batch in batches])
     assert wide.numel() > 100
     assert 0.08 < wide.std().item() / half_range < 0.12
-    # In memory of its own, where nothing but sending reaches the workers.
-    for tensor in [*collector.policy.parameters(), *collector.policy.buffers()]:
-        tensor.data = tensor.data.clone()
+    # In separate memory, so that the workers get it only when it is sent.
+    with torch.no_grad():
+        for tensor in [*collector.policy.parameters(), *collector.policy.buffers()]:
+            tensor.set_(tensor.clone())
     noise.sigma.fill_(0.0)
     with torch.no_grad():
         for parameter in collector.policy.parameters():
@@ -75,7 +76,7 @@ def assert_workers_take_the_policy(collector):
 
 def assert_same_batch(one, other):
     """Bit for bit."""
-    # Ids of trajectories count on, whatever is restored.
+    # Trajectory ids continue to count after a restore.
     one, other = (batch.exclude("collector") for batch in (one, other))
     keys = set(one.keys(True, True)) | set(other.keys(True, True))
     assert len(keys) > 20

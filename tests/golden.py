@@ -15,8 +15,11 @@ import numpy as np
 
 from marl_lanes.scenario import list_scenarios, load_scenario
 from marl_lanes.traffic.machine.compiled import compiled
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.simulator import Simulator
 
+ROLES = {role.table: role for role in (CHANGER, FOLLOWER)}
 FILE = Path(__file__).with_suffix(".json")
 SEED = 20_180_703
 LONG = {"num_roads": 64, "num_steps": 400, "overrides": {}}
@@ -103,17 +106,21 @@ def record(name, *, num_roads, num_steps, overrides):
     for _ in range(num_steps):
         simulator.step(*choose_actions(simulator, generator))
         for table in ("roads", "lanes", "vehicles", "agents", "followers", "collisions"):
-            for field, values in columns(getattr(state, table)):
+            for field, values in columns(table, getattr(state, table)):
                 digest(f"{table}.{field}", values)
         for array in ("order", "observations", "follower_observations"):
             digest(array, getattr(state, array))
     return {name: found.hexdigest() for name, found in digests.items()}
 
 
-def columns(table):
-    """Name and values of every field."""
-    for name in table.dtype.names:
-        yield name, table[name]
+def columns(name, table):
+    """Name and values of every field, the terms of a reward by their own names."""
+    for field in table.dtype.names:
+        if field == "terms":
+            for index, term in enumerate(ROLES[name].terms):
+                yield f"terms.{term.name}", table[field][..., index]
+        else:
+            yield field, table[field]
 
 
 @compiled

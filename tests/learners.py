@@ -5,14 +5,14 @@ from pathlib import Path
 
 import torch
 from collecting import BUSY
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
 from marl_lanes import LaneChangeEnv
-from marl_lanes.training.checkpoint import make_follower_network, make_network
-from marl_lanes.training.config import TrainingConfig, register
+from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
+from marl_lanes.training.checkpoint import make_network
+from marl_lanes.training.command_line import compose_fields
+from marl_lanes.training.config import EVALUATED, EvaluationConfig, read_config
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.run_folder import EVALUATED
 from marl_lanes.training.transitions import LivePolicy
 
 FOLDER = Path(__file__).parents[1] / "agents" / "naf"
@@ -33,16 +33,23 @@ TINY = [
 ]
 
 
-def tiny(*options):
-    register("training_schema", TrainingConfig)
-    with initialize_config_dir(str(FOLDER), version_base="1.3"):
-        return OmegaConf.to_object(compose("config", [*TINY, *options]))
+class OtherEvaluation(EvaluationConfig):
+    metrics = ("success_rate", "nothing")
+
+
+class OtherConfig(TrainingConfig):
+    evaluation: OtherEvaluation
+
+
+def tiny(*options, kind=TrainingConfig):
+    return read_config(kind, compose_fields(kind, FOLDER, [*TINY, *options]))
 
 
 def changers(*options, overrides=BUSY, mu="damped", seed=0, **places):
     env = LaneChangeEnv("paper", 8, overrides=overrides, seed=seed)
     torch.manual_seed(seed)
-    return Learner(tiny(*options), env, make_network(env.scenario, mu, [8]), **places)
+    config = tiny(*options)
+    return Learner(config, env, NAF(config, env, make_network(env.scenario, mu, [8]), **places))
 
 
 def followers(*options, seed=0, **places):
@@ -50,15 +57,10 @@ def followers(*options, seed=0, **places):
     torch.manual_seed(77)
     driver = make_network(env.scenario, "damped", [8])
     torch.manual_seed(seed)
-    return Learner(
-        tiny(*options),
-        env,
-        make_follower_network(env.scenario, [8]),
-        group="followers",
-        others=[LivePolicy(driver.policy().module, 1)],
-        evaluated=("success_rate", "nothing"),
-        **places,
-    )
+    config = tiny(*options, kind=OtherConfig)
+    network = make_network(env.scenario, "mlp", [8], role=FOLLOWER)
+    algorithm = NAF(config, env, network, group="followers", **places)
+    return Learner(config, env, algorithm, others=[LivePolicy(driver.policy().module, 1)])
 
 
 class Evaluation:

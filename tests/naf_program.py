@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import torch
-from programs import BUSY, compose_config, run_main
+from programs import BUSY
 
 PROGRAM = Path(__file__).parents[1] / "agents" / "naf" / "train.py"
 TINY = [
@@ -49,11 +49,6 @@ def run_program(*options, folder):
     process = start(*options, folder=folder)
     out, err = process.communicate(timeout=500)
     return process.returncode, out, err
-
-
-def run_here(program, *options, folder):
-    """Run the program, loaded as a module; what it prints to stdout and stderr."""
-    return run_main(program, folder, compose_config(PROGRAM, *options))
 
 
 def weights(run, name="final.pt"):

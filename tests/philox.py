@@ -25,7 +25,7 @@ class Random:
         return low + (high - low) * ((words[1] * 2**32 + words[0]) // 2**11) / 2**53
 
     def choose(self, shares):
-        """A key of ``shares``, as often as its share of the sum."""
+        """A key of ``shares``, drawn with its share of the sum."""
         draw, total, below = self.uniform(0.0, 1.0), sum(shares.values()), 0.0
         for name, share in shares.items():
             below += share / total

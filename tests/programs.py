@@ -5,8 +5,6 @@ import importlib.util
 import io
 import sys
 
-from hydra import compose, initialize_config_dir
-
 BUSY = """
 name: busy
 num_agents: 4
@@ -30,13 +28,7 @@ def load_program(path):
     return module
 
 
-def compose_config(path, *options):
-    """What hydra makes of a command line of the program."""
-    with initialize_config_dir(str(path.parent), version_base="1.3"):
-        return compose("config", list(options))
-
-
-def run_main(program, folder, config):
+def run_main(program, folder, *options):
     """Run the program in a folder; what it prints to stdout and stderr."""
     out, err = io.StringIO(), io.StringIO()
     with (
@@ -44,5 +36,5 @@ def run_main(program, folder, config):
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
-        program.main(config)
+        program.main(options)
     return out.getvalue(), err.getvalue()

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 @contextmanager
 def two_nodes():
     """The cluster's address, HOST:PORT; its processes end with the block."""
-    # Ray asks the network for nothing: no usage report.
+    # Ray sends no usage report.
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     cluster = _start()
     try:
@@ -17,7 +17,7 @@ def two_nodes():
 
 
 def _start(attempts=3):
-    """Both nodes. Ray gives each some seconds to start, whatever else the machine does."""
+    """Both nodes. Ray gives each a few seconds to start, also on a busy machine."""
     from ray.cluster_utils import Cluster
 
     node = {"num_cpus": 1, "object_store_memory": 80 * 2**20}

@@ -59,7 +59,7 @@ class Agent:
     phase: Phase = Phase.WAITING
     outcome: Outcome = Outcome.UNFINISHED
     num_aborts: int = 0
-    engaged_steps: int = 0
+    steering_steps: int = 0
     car_following: float = 0.0
     terms: dict = field(default_factory=dict)
     reward: float = 0.0
@@ -132,7 +132,7 @@ class Road:
             car.agent = road.agents[slot] = Agent(slot, car, *(int(row[name]) for name in names))
             car.agent.phase = Phase(int(row["phase"]))
             car.agent.num_aborts = int(row["num_aborts"])
-            car.agent.engaged_steps = int(row["engaged_steps"])
+            car.agent.steering_steps = int(row["steering_steps"])
             car.agent.episode_reward = float(row["episode_reward"])
             follower = by_slot.get(int(row["target_follower"]))
             car.agent.neighbors["target_follower"] = follower
@@ -678,10 +678,10 @@ class Road:
         return Outcome.UNFINISHED
 
     def judge(self, agent):
-        """Eq. 10-12 and the failure penalty; the end of the command."""
+        """Eq. 10, Eq. 11, Eq. 12 and the failure penalty; the end of the command."""
         weights, car, outcome = self.scenario.reward, agent.car, self.outcome(agent)
         has_failed = outcome in (Outcome.COLLISION, Outcome.OFF_ROAD)
-        agent.terms = dict.fromkeys(("acceleration", "yaw_rate", "deviation"), 0.0)
+        agent.terms = dict.fromkeys(("yaw_acceleration", "yaw_rate", "deviation"), 0.0)
         agent.terms["failure"] = -weights.failure_penalty if has_failed else 0.0
         agent.terms["delay"] = -weights.delay_weight * self.scenario.time_step
         agent.terms["longitudinal"] = 0.0
@@ -689,10 +689,11 @@ class Road:
             departure = car.acceleration - agent.car_following
             agent.terms["longitudinal"] = -weights.longitudinal_weight * departure**2
         if agent.is_steering:
-            agent.engaged_steps += 1
+            agent.steering_steps += 1
             turning = car.yaw_rate - self.turn_rate(car)
             share = abs(self.deviation(agent)) / weights.average_deviation
-            agent.terms["acceleration"] = -weights.acceleration_weight * abs(car.yaw_acceleration)
+            steering = abs(car.yaw_acceleration)
+            agent.terms["yaw_acceleration"] = -weights.yaw_acceleration_weight * steering
             agent.terms["yaw_rate"] = -weights.yaw_rate_weight * abs(turning)
             agent.terms["deviation"] = -weights.deviation_weight * share
         agent.reward = sum(agent.terms.values())

@@ -6,6 +6,10 @@ import numpy as np
 from reference import Car, Road
 
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
+from marl_lanes.traffic.road.geometry import road_turn_rate
+from marl_lanes.traffic.road.lane_keeping import keep_lane
+from marl_lanes.traffic.road.motion import integrate
+from marl_lanes.traffic.simulator import Simulator
 
 
 def damped_actions(simulator, noise=0.0, generator=None):
@@ -19,7 +23,7 @@ def damped_actions(simulator, noise=0.0, generator=None):
         if generator is not None:
             actions[..., 1] = generator.uniform(-4.0, 4.0, simulator.agents.shape)
     width = simulator.scenario.road.lane_width
-    for env, slot in zip(*simulator.is_engaged.nonzero(), strict=True):
+    for env, slot in zip(*simulator.is_steering.nonzero(), strict=True):
         agent = simulator.agents[env, slot]
         car = simulator.vehicles[env, agent["vehicle"]]
         is_back = agent["phase"] == Phase.ABORTING
@@ -30,6 +34,13 @@ def damped_actions(simulator, noise=0.0, generator=None):
             steering += noise * generator.uniform(-1.0, 1.0)
         actions[env, slot, 0] = agent["direction"] * steering
     return actions
+
+
+def rows_of(table):
+    """The rows of a table as dictionaries of plain values, which are quick to read and compare."""
+    names = table.dtype.names
+    columns = [table[name].tolist() for name in names]
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def stage(simulator, *cars, env=0):
@@ -75,8 +86,34 @@ def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
     row["origin_lane"], row["target_lane"] = lane, lane + direction
     row["command"], row["born_step"] = road["num_commands"][0], road["step"][0]
     row["leader"] = row["follower"] = row["target_leader"] = row["target_follower"] = -1
-    row["num_aborts"] = row["engaged_steps"] = row["episode_reward"] = 0
+    row["num_aborts"] = row["steering_steps"] = row["episode_reward"] = 0
     simulator.vehicles[env, vehicle]["agent"] = slot
     road["num_live"] += 1
     road["num_commands"] += 1
     return slot
+
+
+def one_arc(radius, **overrides):
+    """A simulator of a road that is an arc for 900 m."""
+    arcs = [{"start": 0.0, "end": 900.0, "radius": radius, "transition": 0.0}]
+    return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides})
+
+
+def place(simulator, **values):
+    """The first vehicle of a simulator, at rest in lane 0's centre but for ``values``."""
+    car = simulator.vehicles[0, 0]
+    for name in ("position", "acceleration", "yaw", "yaw_rate", "yaw_acceleration", "lane"):
+        car[name] = 0
+    car["lateral_position"], car["speed"] = 1.875, 20.0
+    for name, value in values.items():
+        car[name] = value
+    return car
+
+
+def advance(simulator, car, *, is_keeping=True):
+    """One step of one car alone, steered by lane keeping or by its yaw acceleration."""
+    arcs, constants = simulator.parameters.arcs, simulator.parameters.constants[0]
+    turn_rate = road_turn_rate(car, arcs)
+    if is_keeping:
+        car["yaw_acceleration"] = keep_lane(car, turn_rate, constants)
+    integrate(car, turn_rate, arcs, constants)

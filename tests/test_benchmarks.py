@@ -1,4 +1,4 @@
-"""Benchmarks that make trainings of their own go through; their figures are for idle machines."""
+"""Benchmarks that train run to their end; their figures need an idle machine."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""The documentation against the code: links, examples, and every name that it must hold."""
+"""The documentation compared with the code: links, examples, and all required names."""
 
 import dataclasses
 import re
@@ -12,9 +12,9 @@ from pydantic import BaseModel
 
 from marl_lanes import Scenario, load_scenario
 from marl_lanes.evaluation.metrics import summarise
-from marl_lanes.traffic.roles.observation import FEATURES
+from marl_lanes.traffic.roles.changer import FEATURES
+from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
-from marl_lanes.training.config import TrainingConfig
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -38,13 +38,13 @@ def with_blocks():
 
 
 def names(page):
-    """What stands in backticks in the first column of the page's tables."""
+    """The words in backticks in the first column of the page's tables."""
     rows = re.findall(r"^\|([^|]*)\|", text_of(page), re.MULTILINE)
     return [re.findall(r"`([^`]+)`", row) for row in rows if "`" in row]
 
 
 def scenario_fields(kind=Scenario, prefix=""):
-    """Dotted names of the schema: [] for what lists hold, * for what maps hold."""
+    """Dotted names of the schema: [] for entries of lists, * for entries of maps."""
     for name, field in kind.model_fields.items():
         inner = field.annotation
         origin, arguments = typing.get_origin(inner), typing.get_args(inner)
@@ -66,11 +66,12 @@ def scenario_fields(kind=Scenario, prefix=""):
 
 
 def training_fields(kind=TrainingConfig, prefix=""):
-    for field in dataclasses.fields(kind):
-        if dataclasses.is_dataclass(field.type):
-            yield from training_fields(field.type, f"{prefix}{field.name}.")
+    for name, field in kind.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            yield from training_fields(inner, f"{prefix}{name}.")
         else:
-            yield prefix + field.name
+            yield prefix + name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
@@ -134,8 +135,8 @@ def test_every_metric_is_documented():
 
 
 def lane_change():
-    """Metrics of one maneuver, of which only the names matter."""
-    from marl_lanes.evaluation.measures import AftermathMetrics, ManeuverMetrics
+    """Metrics of one maneuver; only their names are used."""
+    from marl_lanes.evaluation.measures import STEERING_COSTS, AftermathMetrics, ManeuverMetrics
     from marl_lanes.evaluation.safety import SafetyMetrics
     from marl_lanes.traffic.machine.state import Outcome
 
@@ -146,7 +147,8 @@ def lane_change():
         SafetyMetrics(**zeros(SafetyMetrics)),
         AftermathMetrics(**zeros(AftermathMetrics)),
     )
-    parts = {"outcome": Outcome.COMPLETED, "safety": safety, "after": after}
+    returns = dict.fromkeys(STEERING_COSTS, 0.0)
+    parts = {"outcome": Outcome.COMPLETED, "returns": returns, "safety": safety, "after": after}
     return ManeuverMetrics(**(zeros(ManeuverMetrics) | parts))
 
 

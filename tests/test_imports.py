@@ -1,4 +1,4 @@
-"""What `import marl_lanes` brings in, and what it offers."""
+"""The modules that `import marl_lanes` imports, and the names that it offers."""
 
 import json
 import subprocess

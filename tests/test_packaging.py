@@ -1,4 +1,4 @@
-"""The wheel: what it holds, and that it runs where nothing else of this repository is."""
+"""The wheel: its content, and that it runs without the rest of the repository."""
 
 import shutil
 import subprocess
@@ -104,11 +104,11 @@ def test_the_installed_wheel_runs_from_another_folder(wheel, tmp_path):
     install = ("install", "--quiet", "--no-deps", "--no-index", "--no-compile", wheel)
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python)
     run(*pip, *install, cwd=elsewhere, PYTHONWARNINGS="default")
-    # The dependencies, but not what .pth files add: the editable install stays out of sight.
+    # The dependencies without .pth files, so that the editable install is not found.
     (site,) = home.glob("lib/python*/site-packages")
     paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
     (site / "dependencies.pth").write_text("\n".join(sorted(paths)) + "\n")
-    # Interpreted: compiling the kernel again would take half a minute.
+    # Interpreted, because compiling the kernel again would take half a minute.
     output = run(python, "-c", PROGRAM, cwd=elsewhere, NUMBA_DISABLE_JIT="1")
     scenarios, version = output.splitlines()
     assert scenarios.split() == sorted(path.stem for path in ROOT.glob("scenarios/*.yaml"))

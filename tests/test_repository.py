@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import tomllib
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ FOLDERS = ["agents", "benchmarks", "docs", "marl_lanes", "scenarios", "tests"]
 FILES = [".ci/run", "LICENSE", "Makefile", "README.md", "constraints.txt", "pyproject.toml"]
 MAX_LINES = 420
 
-# Written so that this file does not hold them itself.
+# Split, so that this file does not match.
 FORBIDDEN = re.compile(
     "|".join(
         [
@@ -91,8 +92,27 @@ def test_every_dependency_is_pinned_within_its_range(requirement, pins):
     name = canonicalize_name(requirement.name)
     assert name in pins
     assert requirement.specifier.contains(pins[name])
-    # A dependency without a lower bound says nothing.
+    # Every dependency needs a lower bound.
     assert any(one.operator in {">=", "==", "~="} for one in requirement.specifier)
+
+
+@pytest.mark.parametrize("name", ["numba", "tensordict", "torch", "torchrl"])
+def test_what_is_used_closely_has_an_upper_bound(name):
+    """Names that these do not promise to keep are used: a new version is tested first."""
+    (requirement,) = (one for one in map(Requirement, PROJECT["dependencies"]) if one.name == name)
+    assert any(one.operator == "<" for one in requirement.specifier)
+
+
+@pytest.mark.parametrize("requirement", requirements(), ids=lambda one: one.name)
+def test_what_is_installed_is_within_its_range(requirement):
+    try:
+        installed = version(requirement.name)
+    except PackageNotFoundError:
+        assert str(requirement) not in PROJECT["dependencies"], "not installed"
+        pytest.skip("not installed")
+    assert requirement.specifier.contains(installed, prereleases=True), (
+        f"{requirement.name} {installed}: outside of {requirement.specifier}, which was tested"
+    )
 
 
 def test_the_extras_are_as_documented():

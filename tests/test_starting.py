@@ -1,4 +1,4 @@
-"""What is, and is not, done while much is loaded."""
+"""Garbage collection while many modules are loaded."""
 
 import gc
 import subprocess

@@ -10,7 +10,7 @@ _SIDES = ("leader", "follower", "origin_leader", "origin_follower")
 
 
 def trace(count, **columns):
-    """Rows at 20 m/s in the middle of nowhere, but for ``columns``."""
+    """Rows at 20 m/s without other vehicles, except for ``columns``."""
     rows = np.zeros(count, TRACE)
     rows["step"] = np.arange(1, count + 1)
     rows["phase"] = Phase.ENGAGED
@@ -27,7 +27,7 @@ def trace(count, **columns):
 
 
 def maneuver(rows, outcome=Outcome.MISSED, **changes):
-    """A command with these rows; what is completed stays in its lane, unless changes say else."""
+    """A command with these rows; if completed it stays in its lane, except for ``changes``."""
     is_completed = outcome == Outcome.COMPLETED
     values = {
         "env": 0,

@@ -9,45 +9,40 @@ take turns, K times; the changer learns against all followers so far.
 """
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from math import inf
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
-import hydra
 import numpy as np
 import torch
-from omegaconf import MISSING, DictConfig
+from pydantic import Field, field_validator
 from tqdm import tqdm
 
-from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
-from marl_lanes.envs.batched import FOLLOWERS
+from marl_lanes import LaneChangeEnv, Scenario, ScenarioError, load_scenario
 from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import Policy, check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_crossplay
-from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
+from marl_lanes.files import copy_file, write_json
+from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy
+from marl_lanes.scenario.fields import NonNegative
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
 from marl_lanes.traffic.roles.external import FollowerPolicy
-from marl_lanes.training.checkpoint import load_checkpoint, make_follower_network
+from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.training.algorithms.naf import NAF, NAFConfig
+from marl_lanes.training.checkpoint import load_checkpoint, make_network
+from marl_lanes.training.command_line import read_command_line
 from marl_lanes.training.config import (
     CONFIG_FILE,
     ConfigError,
+    CountOrZero,
     EvaluationConfig,
-    LearnerConfig,
     ProgramConfig,
-    check_criterion,
-    check_learner,
-    check_program,
-    check_widths,
+    Widths,
     read_config,
-    register,
-    require,
     write_config,
 )
-from marl_lanes.training.files import copy_file, write_json
 from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.run_folder import (
     FINAL_MODEL,
@@ -59,56 +54,71 @@ from marl_lanes.training.transitions import LivePolicy
 
 MODEL = f"checkpoints/{FINAL_MODEL}"
 """The trained policy in the folder of a phase."""
-OBJECTIVES = ("adversarial", "cooperative")
-EVALUATED = (
-    "success_rate",
-    "completion_rate",
-    "mean_episode_reward",
-    "abort_rate",
-    "missed_rate",
-    "collision_rate",
-    "lost_after_rate",
-    "collided_after_rate",
-    "left_lane_after_rate",
-    "mean_max_follower_braking_all",
-)
-"""The changer's metrics in the table of the saved models."""
+FOLDER = Path(__file__).parent
 
 
-@dataclass
-class FollowerConfig(LearnerConfig):
+class ChangerEvaluationConfig(EvaluationConfig):
+    """How good the changer is, meanwhile and at the end."""
+
+    metrics: ClassVar[tuple[str, ...]] = (
+        "success_rate",
+        "completion_rate",
+        "mean_episode_reward",
+        "abort_rate",
+        "missed_rate",
+        "collision_rate",
+        "lost_after_rate",
+        "collided_after_rate",
+        "left_lane_after_rate",
+        "mean_max_follower_braking_all",
+    )
+
+
+class ChangerConfig(NAFConfig):
+    """How the changer learns."""
+
+    evaluation: ChangerEvaluationConfig
+
+
+class FollowerConfig(ChangerConfig):
     """How a follower learns."""
 
-    hidden_sizes: list[int] = MISSING
-    """Widths of the hidden layers of every network."""
+    hidden_sizes: Widths = Field(description="widths of the hidden layers of every network")
 
 
-@dataclass
 class AdversaryConfig(ProgramConfig):
     """Everything that defines a run."""
 
-    changer: str | None = None
-    """The checkpoint of the changer to learn against."""
-    objective: str = MISSING
-    """What the followers are paid for: adversarial or cooperative."""
-    rounds: int = MISSING
-    """How often follower and changer take turns; 0: one follower learns, the changer does not."""
-    scripted: dict[str, float] = field(default_factory=dict)
-    """Shares of scripted dispositions while the changer learns; the followers share the rest."""
-    follower: FollowerConfig = field(default_factory=FollowerConfig)
-    hardening: LearnerConfig = field(default_factory=LearnerConfig)
-    """How the changer learns."""
+    changer: str = Field(description="the checkpoint of the changer to learn against")
+    objective: Literal["adversarial", "cooperative"] = Field(
+        description="what the followers are paid for: adversarial or cooperative"
+    )
+    rounds: CountOrZero = Field(
+        description="how often follower and changer take turns; 0: one follower learns, the "
+        "changer does not"
+    )
+    scripted: dict[str, NonNegative] = Field(
+        description="shares of scripted dispositions while the changer learns; the followers share "
+        "the rest"
+    )
+    follower: FollowerConfig
+    hardening: ChangerConfig
+
+    @field_validator("scripted")
+    @classmethod
+    def _check_scripted(cls, shares: dict[str, float]) -> dict[str, float]:
+        unknown = [name for name in shares if name not in SCRIPTED]
+        if unknown:
+            raise ValueError(f"{unknown[0]!r} must be among {', '.join(SCRIPTED)}")
+        if sum(shares.values()) >= 1.0:
+            raise ValueError("must be below 1 in all")
+        return shares
 
 
-register("adversary_schema", AdversaryConfig)
-
-
-@hydra.main(version_base="1.3", config_path=".", config_name="config")
-def main(given: DictConfig) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Train, evaluate, report."""
     try:
-        config = read_config(given, AdversaryConfig)
-        check(config)
+        config = read(arguments)
         torch.set_num_threads(config.num_threads)
         run = Run(config)
         result = run.take_turns() if config.rounds else run.train_one_follower()
@@ -120,22 +130,10 @@ def main(given: DictConfig) -> None:
     print(f"run folder: {config.output}\n\n{format_crossplay(result)}")
 
 
-def check(config: AdversaryConfig) -> None:
-    """Refuse values outside their ranges, before anything is built or written."""
-    check_program(config)
-    if config.changer is None:
-        raise ConfigError("changer = None: must be the path of a changer's checkpoint")
-    require(config.objective in OBJECTIVES, "objective", config.objective, ", ".join(OBJECTIVES))
-    require(config.rounds >= 0, "rounds", config.rounds, "at least 0")
-    for name, share in config.scripted.items():
-        require(name in SCRIPTED, "scripted", name, f"among {', '.join(SCRIPTED)}")
-        require(0.0 <= share < inf, f"scripted.{name}", share, "at least 0 and finite")
-    total = sum(config.scripted.values())
-    require(total < 1.0, "scripted", config.scripted, "below 1 in all")
-    check_widths("follower.hidden_sizes", config.follower.hidden_sizes)
-    for name, learner in (("follower.", config.follower), ("hardening.", config.hardening)):
-        check_learner(learner, name)
-        check_criterion(learner, EVALUATED, name)
+def read(arguments: Sequence[str] | None = None) -> AdversaryConfig:
+    """The configuration that the command line and config.yaml come to."""
+    fields = read_command_line(AdversaryConfig, FOLDER, str(__doc__), arguments)
+    return read_config(AdversaryConfig, fields)
 
 
 class Run:
@@ -149,7 +147,7 @@ class Run:
         self.config = config
         self.output = Path(config.output)
         self.device = torch.device(config.device)
-        self.changer = Path(str(config.changer))
+        self.changer = Path(config.changer)
         objective = {"followers": {"learned": {"objective": config.objective}}}
         self.scenario = load_scenario(config.scenario, objective)
         check_episodes(self.scenario)
@@ -212,18 +210,18 @@ class Run:
                 seed=seed,
                 learned_followers=True,
             )
-            return Learner(
+            algorithm = NAF(
                 config,
                 env,
-                make_follower_network(self.scenario, config.hidden_sizes),
-                group=FOLLOWERS,
-                others=[LivePolicy(driver.policy().module, driver.action_dim)],
-                evaluated=EVALUATED,
+                make_network(self.scenario, "mlp", config.hidden_sizes, role=FOLLOWER),
+                group=FOLLOWER.group,
                 device=self.device,
                 acting_device=self.device,
             )
+            others = [LivePolicy(driver.policy().module, driver.action_dim)]
+            return Learner(config, env, algorithm, others=others)
 
-        def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
+        def evaluate_model(network: PolicyNetwork) -> Mapping[str, Any]:
             policies = {LEARNED: follower_policy(network)}
             return _evaluate(scenario, greedy_policy(driver), policies, config.evaluation)
 
@@ -249,16 +247,10 @@ class Run:
                 follower_policies=pool,
             )
             network = load_checkpoint(changer, self.scenario).network
-            return Learner(
-                config,
-                env,
-                network,
-                evaluated=EVALUATED,
-                device=self.device,
-                acting_device=self.device,
-            )
+            algorithm = NAF(config, env, network, device=self.device, acting_device=self.device)
+            return Learner(config, env, algorithm)
 
-        def evaluate_model(network: NAFNetwork) -> Mapping[str, Any]:
+        def evaluate_model(network: PolicyNetwork) -> Mapping[str, Any]:
             return _evaluate(scenario, greedy_policy(network), pool, config.evaluation)
 
         return self._train(folder, make, evaluate_model)
@@ -324,7 +316,7 @@ def _evaluate(
         scenario,
         policy,
         settings.num_maneuvers,
-        seed=settings.seed + 1,
+        seed=settings.saved_models_seed,
         follower_policies=policies,
     )
     return evaluate(maneuvers, scenario, with_optimum=False)

@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 from tqdm import trange
 
 from marl_lanes import ScenarioError, Simulator
+from marl_lanes.files import write_json
 from marl_lanes.naf.lateral import TUNED_CASCADE, CascadeGains, steer_by_cascade
 from marl_lanes.scenario import Scenario, load_scenario
-from marl_lanes.training.files import write_json
+from marl_lanes.traffic.roles.changer import CHANGER
 
 LOWEST = CascadeGains(limit=0.2, time=0.8, lateral_limit=0.3, lag=0.08, damping=0.4, threshold=0.0)
 HIGHEST = CascadeGains(limit=0.5, time=2.5, lateral_limit=1.0, lag=0.3, damping=1.4, threshold=0.06)
 ELITE_SHARE = 0.15
-"""Of a generation, from which the next one is drawn."""
+"""Share of a generation from which the next one is drawn."""
 LEAST_SPREAD = 0.002
-"""[1] Of each range, added to the standard deviation: the search does not stop too soon."""
+"""[1] Share of each range, added to the standard deviation so that the search continues."""
 STEERING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
 
 
@@ -42,13 +43,13 @@ def main() -> None:
 
 
 class Roads:
-    """Busy roads on which every candidate drives the same traffic.
+    """Busy roads with the same traffic for every candidate.
 
     Args:
-        scenario: of one action, with the features that the cascade reads.
-        population: candidates at a time.
-        roads: of each candidate.
-        seconds: that they drive.
+        scenario: with one action, and with the features of the cascade.
+        population: number of candidates P at a time.
+        roads: number of roads per candidate.
+        seconds: simulated time [s].
         seed: of the traffic.
 
     Raises:
@@ -60,10 +61,11 @@ class Roads:
     ) -> None:
         features: list[str] = list(scenario.observation.features)
         missing = [name for name in STEERING_FEATURES if name not in features]
-        if missing or scenario.action.num_actions != 1:
+        num_actions = len(CHANGER.act(scenario))
+        if missing or num_actions != 1:
             raise ScenarioError(
                 f"scenario {scenario.name!r}: must have one action and the features "
-                f"{list(STEERING_FEATURES)}; it has {scenario.action.num_actions} and {features}"
+                f"{list(STEERING_FEATURES)}; it has {num_actions} and {features}"
             )
         self.columns = [features.index(name) for name in STEERING_FEATURES]
         self.population, self.roads = population, roads
@@ -76,10 +78,10 @@ class Roads:
         )
 
     def drive(self, gains: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Mean cost of a command, inf without one, and their number, of each candidate (P, 6)."""
+        """Mean cost per command (inf without one), and number of commands, of (P, 6) gains."""
         simulator = self.simulator
         simulator.seed(self.seed)
-        # Road k of every candidate is the same road.
+        # Road k has the same traffic for every candidate.
         roads = simulator.state.roads
         roads["random_stream"] = np.tile(np.arange(self.roads), self.population)
         simulator.reset()
@@ -96,7 +98,7 @@ class Roads:
             owners = np.nonzero(ended)[0] // self.roads
             np.add.at(costs, owners, -simulator.agents["episode_reward"][ended])
             np.add.at(counts, owners, 1)
-        # Who ends no command is not the cheapest.
+        # A candidate without a finished command must not be the cheapest.
         return np.where(counts > 0, costs / np.maximum(counts, 1), np.inf), counts
 
     @staticmethod
@@ -109,7 +111,7 @@ class Roads:
 
 
 def search(roads: Roads, generations: int, seed: int) -> dict[str, object]:
-    """The cheapest mean of a generation's elite, beginning around the present constants."""
+    """The best mean of a generation's elite; the search starts around the present constants."""
     generator = np.random.default_rng(seed)
     low, high = np.array(LOWEST), np.array(HIGHEST)
     mean, spread = np.array(TUNED_CASCADE), (high - low) / 8.0
@@ -124,7 +126,7 @@ def search(roads: Roads, generations: int, seed: int) -> dict[str, object]:
         cost = float(costs[0])
         if cost == np.inf:
             raise ScenarioError(
-                f"seconds = {roads.seconds:g}: must be longer, no command of scenario "
+                f"seconds = {roads.seconds:g}: must be longer; no command of scenario "
                 f"{roads.simulator.scenario.name!r} ended on {roads.roads} roads"
             )
         start = cost if generation == 0 else start
@@ -146,8 +148,10 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--scenario", default="paper", help="name or YAML file (default: paper)")
     parser.add_argument("--generations", type=int, default=30, help="default: 30")
     parser.add_argument("--population", type=int, default=64, help="candidates (default: 64)")
-    parser.add_argument("--roads", type=int, default=16, help="of each candidate (default: 16)")
-    parser.add_argument("--seconds", type=float, default=60.0, help="driven (default: 60)")
+    parser.add_argument("--roads", type=int, default=16, help="per candidate (default: 16)")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="simulated time [s] (default: 60)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="default: 0")
     parser.add_argument("--output", type=Path, required=True, help="JSON file to write")
     options = parser.parse_args()

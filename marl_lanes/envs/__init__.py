@@ -1,1 +1,1 @@
-"""The environments: PettingZoo over one road, TorchRL over many."""
+"""The environments: PettingZoo with one road, TorchRL with many."""

@@ -1,4 +1,4 @@
-"""The policies of the followers that a scenario's mix names: given, registered, or learned."""
+"""The policies of the followers in a scenario's mix: passed in, registered, or learned."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.envs.fit import check_fit
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.followers import LEARNED
-from marl_lanes.traffic.parameters import follower_action_bounds
-from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS, FollowerPolicy, registered_follower
+from marl_lanes.traffic.roles.external import FollowerPolicy
+from marl_lanes.traffic.roles.follower import FOLLOWER
 
 if TYPE_CHECKING:
-    from marl_lanes.naf.network import NAFNetwork
+    from marl_lanes.naf.checkpoint import PolicyNetwork
 
 
 def find_policies(
@@ -22,22 +23,18 @@ def find_policies(
     *,
     has_learner: bool = False,
 ) -> dict[str, FollowerPolicy]:
-    """The policies for ``Simulator``: those given, those registered, that of the checkpoint.
+    """The policies that ``Simulator`` does not find itself: passed in, or from the checkpoint.
 
     Args:
-        scenario: whose ``followers.mix`` names them.
-        given: policies by name, before all others.
-        has_learner: whether a learner drives the ``learned`` ones, and no checkpoint.
+        scenario: its ``followers.mix`` names the policies.
+        given: policies by name; they have priority.
+        has_learner: whether a learner drives the ``learned`` followers, instead of the checkpoint.
 
     Raises:
-        CheckpointError: ``followers.learned.checkpoint`` cannot be read, or is no follower's of
-            this scenario.
+        CheckpointError: ``followers.learned.checkpoint`` cannot be read, or does not fit the
+            followers of this scenario.
     """
     policies = dict(given or {})
-    for name in scenario.followers.external_names:
-        registered = registered_follower(name)
-        if name not in policies and registered is not None:
-            policies[name] = registered
     checkpoint = scenario.followers.learned.checkpoint
     is_wanted = LEARNED in scenario.followers.external_names and LEARNED not in policies
     if is_wanted and checkpoint is not None and not has_learner:
@@ -49,30 +46,18 @@ def load_follower(path: Path, scenario: Scenario) -> FollowerPolicy:
     """The greedy policy of a follower's checkpoint.
 
     Raises:
-        CheckpointError: it cannot be read, or its features or bounds are not the scenario's.
+        CheckpointError: it cannot be read, or its features or bounds do not fit the scenario.
     """
-    # Imported here: an environment without a learned follower needs no torch.
-    from marl_lanes.naf.checkpoint import CheckpointError, read_checkpoint
+    # Imported here, because an environment without a learned follower needs no torch.
+    from marl_lanes.naf.checkpoint import read_checkpoint
 
     network = read_checkpoint(path).network
-    wanted = list(FOLLOWER_COLUMNS)
-    if network.features != wanted:
-        raise CheckpointError(
-            f"follower checkpoint {path}: its features are {network.features}, a follower has "
-            f"{wanted}"
-        )
-    low, high = follower_action_bounds(scenario)
-    found = network.config["action_low"], network.config["action_high"]
-    if found != (low.tolist(), high.tolist()):
-        raise CheckpointError(
-            f"follower checkpoint {path}: its action bounds are {found}, followers.external of "
-            f"scenario {scenario.name!r} has {(low.tolist(), high.tolist())}"
-        )
+    check_fit(path, network, FOLLOWER, scenario)
     return follower_policy(network)
 
 
-def follower_policy(network: "NAFNetwork") -> FollowerPolicy:
-    """The network's greedy action as a driver: observations (n, G) to accelerations (n,)."""
+def follower_policy(network: "PolicyNetwork") -> FollowerPolicy:
+    """The network's greedy action as a policy: observations (n, G) to accelerations (n,)."""
     from marl_lanes.naf.checkpoint import greedy_policy
 
     act = greedy_policy(network)

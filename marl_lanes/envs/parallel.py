@@ -1,4 +1,4 @@
-"""The PettingZoo environment: one road, an agent for every commanded vehicle."""
+"""The PettingZoo environment: one road, one agent per commanded vehicle."""
 
 import math
 from collections.abc import Mapping
@@ -13,10 +13,10 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
-from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
-from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
+from marl_lanes.traffic.machine.state import NONE, Outcome, Phase, truncates
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
-from marl_lanes.traffic.roles.observation import feature_bounds, follower_feature_bounds
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.simulator import Simulator
 
 STATE_COLUMNS = (
@@ -28,34 +28,24 @@ STATE_COLUMNS = (
     "yaw_rate",
     "agent",
 )
-"""Columns of ``state()``: fields of the vehicle table; ``agent`` is the serial number of its
-command, -1 without one."""
+"""Columns of ``state()``: fields of the vehicle table; ``agent`` is the serial number of the
+vehicle's command, -1 if it has none."""
 
-_TERMINATING = {int(Outcome.COMPLETED), int(Outcome.COLLISION), int(Outcome.OFF_ROAD)}
-_TERMS = (
-    "reward_acceleration",
-    "reward_yaw_rate",
-    "reward_deviation",
-    "reward_failure",
-    "reward_delay",
-    "reward_longitudinal",
-)
-_FOLLOWER_TERMS = (
-    "reward_delay",
-    "reward_abort",
-    "reward_collision",
-    "reward_discomfort",
-    "reward_braking",
-)
-_INFO = ("phase", "outcome", "num_aborts", *_TERMS)
-_FOLLOWER_INFO = ("phase", "is_paired", *_FOLLOWER_TERMS)
+_TRUNCATING = {int(outcome) for outcome in Outcome if truncates(outcome)}
+
+_FIELDS = ("phase", "outcome", "num_aborts")
+_INFO = {
+    CHANGER.name: (*_FIELDS, *CHANGER.reward_names),
+    FOLLOWER.name: ("phase", "is_paired", *FOLLOWER.reward_names),
+}
+"""Keys of an agent's info."""
 
 _ABSENT = int(Phase.ABSENT)
 _UNFINISHED = int(Outcome.UNFINISHED)
 
 
 class Options(TypedDict, total=False):
-    """The keyword arguments of ``LaneChangeParallelEnv``, where they are explained."""
+    """The keyword arguments of ``LaneChangeParallelEnv``, which documents them."""
 
     seed: int
     fixed_agents: bool
@@ -76,37 +66,38 @@ Step = tuple[
 class LaneChangeParallelEnv(ParallelEnv):
     """Lane changes as a PettingZoo parallel environment.
 
-    An episode is the scenario's ``num_agents`` commands, all born and finished, or its horizon.
-    ``changer_k`` is the vehicle of the k-th command, from the command to its outcome; each name is
-    used once an episode. Reset and step run the traffic on until an agent is live, so ``agents`` is
-    empty only when the episode is over.
+    An episode ends when the ``num_agents`` commands of the scenario are finished, or at its
+    horizon. ``changer_k`` is the vehicle of the k-th command, from the command to its outcome; each
+    name is used once per episode. While no agent is live, reset and step advance the traffic, so
+    ``agents`` is empty only at the end of the episode.
 
     Observation: the scenario's features in its order, (F,) float32, SI units, in the maneuver frame
     (positive toward the target lane). Action: yaw acceleration, (1,) float32 [rad/s^2], used while
     the agent is engaged or aborting, clipped to the bound; with ``action.longitudinal`` (2,), the
-    second the longitudinal acceleration [m/s^2], used while it is live. Completed, collision and
-    off-road terminate; a missed command (the road ends) and the horizon truncate. Infos: phase,
-    outcome (codes of ``traffic.state``), num_aborts and the reward's terms, as floats.
+    second the longitudinal acceleration [m/s^2], used while the agent is live. Completed, collision
+    and off_road terminate; missed (the road ends) and horizon truncate. Infos: phase, outcome
+    (codes of ``Outcome``), num_aborts and the reward terms, as floats.
 
     With ``learned_followers``, ``follower_k`` is the driver behind changer_k in its target lane,
     live as long as changer_k. Its action, the longitudinal acceleration (1,) [m/s^2], is used while
     the two are paired: changer_k is engaged and such a driver exists (``is_paired`` in its info).
-    Observation: FOLLOWER_FEATURES, (G,) float32, zeros where nobody is behind.
+    Observation: FOLLOWER_COLUMNS, (G,) float32, zeros if no vehicle is behind.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
-        render_mode: None, the only one.
-        seed: of the random numbers until ``reset(seed=...)`` gives another; without one, resets
-            go on in the same stream.
-        fixed_agents: every dict holds every possible agent, those absent with zeros, as TorchRL's
-            PettingZooWrapper needs it; ``agents`` still lists the live ones.
+        render_mode: must be None.
+        seed: of the random numbers, until ``reset(seed=...)`` sets another; a reset without a seed
+            continues the stream.
+        fixed_agents: every dict contains all possible agents, absent ones with zeros, as TorchRL's
+            PettingZooWrapper needs it; ``agents`` still lists only the live ones.
         overrides: scenario fields to replace, as in ``load_scenario``.
-        learned_followers: followers are agents too: those whose disposition is ``learned``, or all
-            where the mix has none of these.
-        follower_policies: policies by their name in ``followers.mix``, before registered ones.
+        learned_followers: followers are agents, too: the drivers with the disposition ``learned``,
+            or all drivers if the mix has no ``learned``.
+        follower_policies: policies by their name in ``followers.mix``; they have priority over
+            registered ones.
 
     Raises:
-        ScenarioError: the scenario cannot be, has no end (``num_agents: null``), or a follower of
+        ScenarioError: the scenario is invalid, has no end (``num_agents: null``), or a follower of
             its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
         ValueError: another argument is out of range.
@@ -151,24 +142,20 @@ class LaneChangeParallelEnv(ParallelEnv):
         self.render_mode = render_mode
         self.fixed_agents = fixed_agents
         self.agents: list[str] = []
-        self.groups = ("changer", "follower") if learned_followers else ("changer",)
-        self.possible_agents = [
-            f"{group}_{k}" for group in self.groups for k in range(self.scenario.num_agents)
-        ]
-        self._rank = {agent: rank for rank, agent in enumerate(self.possible_agents)}
-        bounds = {
-            "changer": (
-                feature_bounds(self.scenario.observation.features),
-                action_bounds(self.scenario),
-            ),
-            "follower": (follower_feature_bounds(), follower_action_bounds(self.scenario)),
+        self._names = {
+            role.name: [f"{role.name}_{k}" for k in range(self.scenario.num_agents)]
+            for role in self.simulator.roles
         }
+        self._role_of = {
+            agent: role for role in self.simulator.roles for agent in self._names[role.name]
+        }
+        self.possible_agents = list(self._role_of)
+        self._rank = {agent: rank for rank, agent in enumerate(self.possible_agents)}
         self.observation_spaces = {}
         self.action_spaces = {}
-        for agent in self.possible_agents:
-            seen, acted = bounds[agent.partition("_")[0]]
-            self.observation_spaces[agent] = Box(*seen)
-            self.action_spaces[agent] = Box(*acted)
+        for agent, role in self._role_of.items():
+            self.observation_spaces[agent] = Box(*role.observation_bounds(self.scenario))
+            self.action_spaces[agent] = Box(*role.action_bounds(self.scenario))
         shape = (self.scenario.max_vehicles, len(STATE_COLUMNS))
         self.state_space = Box(-np.inf, np.inf, shape, np.float32)
         self._slots: dict[str, int] = {}
@@ -176,16 +163,17 @@ class LaneChangeParallelEnv(ParallelEnv):
         self._view()
 
     def _view(self) -> None:
-        """Views of the road: taking them at every step would be a good part of its time."""
+        """Keep views of the road's arrays: making them at every step would be slow."""
         state = self.simulator.state
         table = state.agents[0]
         self._seen, self._is_done = state.observations[0], state.roads["is_done"]
         self._phases, self._outcomes = table["phase"], table["outcome"]
         self._commands, self._rewards = table["command"], table["reward"]
-        self._info = [table[name] for name in _INFO]
+        self._told = [table[name] for name in _FIELDS]
+        self._told += [table["terms"][:, index] for index in range(len(CHANGER.terms))]
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # A copy's views must be of its own road.
+        # The views of a copy must belong to its own road.
         self.__dict__.update(state)
         self._view()
 
@@ -202,10 +190,10 @@ class LaneChangeParallelEnv(ParallelEnv):
         seed: int | None = None,
         options: Mapping[str, Any] | None = None,  # noqa: ARG002 - PettingZoo passes it
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, float]]]:
-        """Start an episode on traffic that has run its warm-up, at its first command.
+        """Start an episode: warm up the traffic and advance to the first command.
 
         Args:
-            seed: 0 to 2^64 - 1; None goes on in the stream of the last one.
+            seed: 0 to 2^64 - 1; None continues the stream of the last seed.
             options: not used.
         """
         if seed is not None:
@@ -219,28 +207,28 @@ class LaneChangeParallelEnv(ParallelEnv):
         return result[0], result[4]
 
     def step(self, actions: Mapping[str, Any]) -> Step:
-        """Advance one time step, and on until an agent is live or the episode is over.
+        """Advance one time step, and further until an agent is live or the episode is over.
 
         Args:
-            actions: (D,) or, for followers, (1,) for every live agent; those of others are not
-                used.
+            actions: for every live agent, (D,) for a changer, (1,) for a follower; actions of
+                other agents are ignored.
 
         Raises:
-            ValueError: a live agent's action is missing, misshapen or not finite.
+            ValueError: the action of a live agent is missing, not finite, or has a wrong shape.
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
         values = [self._read_action(agent, actions) for agent in self.agents]
         simulator = self.simulator
         for agent, value in zip(self.agents, values, strict=True):
-            is_changer = agent.startswith("changer")
+            is_changer = self._role_of[agent] is CHANGER
             buffer = simulator.actions if is_changer else simulator.follower_actions
             buffer[0, self._slots[agent]] = value
         simulator.advance()
         result = self._absent()
         self._collect(result)
         if not self.agents and not self._is_done[0]:
-            # The agents that just ended stay in the dicts; newborn ones join them.
+            # The agents that have just ended stay in the dicts; new ones are added.
             self.simulator.advance_until_live()
             self._collect(result)
         if not self.agents:
@@ -250,7 +238,7 @@ class LaneChangeParallelEnv(ParallelEnv):
     def state(self) -> NDArray[np.float32]:
         """Every vehicle on the road by decreasing position, (max_vehicles, columns) float32.
 
-        The columns are STATE_COLUMNS; rows without a vehicle are zero, their agent -1.
+        The columns are STATE_COLUMNS; rows without a vehicle are zero, with agent -1.
         """
         rows = np.zeros(self.state_space.shape, np.float32)
         count = int(self.simulator.roads["num_vehicles"][0])
@@ -270,7 +258,7 @@ class LaneChangeParallelEnv(ParallelEnv):
             action = actions[agent]
         except KeyError:
             raise ValueError(
-                f"actions: {agent} is live and has no action; live are {self.agents}"
+                f"actions: {agent} is live and has no action; live agents: {self.agents}"
             ) from None
         try:
             array = np.asarray(action, np.float64)
@@ -285,7 +273,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         return values
 
     def _collect(self, result: Step) -> None:
-        """Write what the live agents and those that just ended have into the dicts."""
+        """Write the values of the live agents and of those that have just ended to the dicts."""
         observations, rewards, terminations, truncations, infos = result
         self.agents = []
         self._slots.clear()
@@ -295,17 +283,18 @@ class LaneChangeParallelEnv(ParallelEnv):
             if phase == _ABSENT and not is_over:
                 continue
             command = self._commands.item(slot)
-            name = self.possible_agents[command]
-            terminations[name] = outcome in _TERMINATING
-            truncations[name] = is_over and outcome not in _TERMINATING
+            name = self._names[CHANGER.name][command]
+            truncations[name] = outcome in _TRUNCATING
+            terminations[name] = is_over and outcome not in _TRUNCATING
             observations[name] = self._seen[slot].copy()
             rewards[name] = self._rewards.item(slot)
-            values = [float(column.item(slot)) for column in self._info]
-            infos[name] = dict(zip(_INFO, values, strict=True))
+            values = [float(column.item(slot)) for column in self._told]
+            infos[name] = dict(zip(_INFO[CHANGER.name], values, strict=True))
             both = [name]
-            if len(self.groups) > 1:
-                both.append(f"follower_{command}")
-                self._collect_follower(slot, name, result)
+            if FOLLOWER.name in self._names:
+                follower = self._names[FOLLOWER.name][command]
+                both.append(follower)
+                self._collect_follower(slot, name, follower, result)
             if is_over:
                 self._finished.update(both)
             else:
@@ -313,10 +302,9 @@ class LaneChangeParallelEnv(ParallelEnv):
                 self._slots.update(dict.fromkeys(both, slot))
         self.agents.sort(key=self._rank.__getitem__)
 
-    def _collect_follower(self, slot: int, changer: str, result: Step) -> None:
-        """Write what the driver behind the changer of a slot has into the dicts."""
+    def _collect_follower(self, slot: int, changer: str, name: str, result: Step) -> None:
+        """Write the values of the driver behind the changer of a slot to the dicts."""
         observations, rewards, terminations, truncations, infos = result
-        name = changer.replace("changer", "follower")
         record = self.simulator.state.followers[0, slot]
         observations[name] = self.simulator.state.follower_observations[0, slot].copy()
         rewards[name] = float(record["reward"])
@@ -324,11 +312,11 @@ class LaneChangeParallelEnv(ParallelEnv):
         infos[name] = {
             "phase": infos[changer]["phase"],
             "is_paired": float(self.simulator.is_follower_acting[0, slot]),
-            **{term: float(record[term]) for term in _FOLLOWER_TERMS},
+            **dict(zip(FOLLOWER.reward_names, record["terms"].tolist(), strict=True)),
         }
 
     def _absent(self) -> Step:
-        """What the dicts say of agents that are not there: nothing, or zeros."""
+        """The dicts before any live agent is added: empty, or zeros for all possible agents."""
         if not self.fixed_agents:
             return {}, {}, {}, {}, {}
         names = self.possible_agents
@@ -337,14 +325,11 @@ class LaneChangeParallelEnv(ParallelEnv):
             dict.fromkeys(names, 0.0),
             {name: name in self._finished for name in names},
             dict.fromkeys(names, False),
-            {
-                name: dict.fromkeys(_INFO if name.startswith("changer") else _FOLLOWER_INFO, 0.0)
-                for name in names
-            },
+            {name: dict.fromkeys(_INFO[self._role_of[name].name], 0.0) for name in names},
         )
 
     def _close_episode(self, result: Step) -> None:
-        """At the horizon, the commands that were never given end as well."""
+        """At the horizon, truncate also the agents whose commands were never given."""
         if self.fixed_agents:
             for name in self.possible_agents:
                 if name not in self._finished:
@@ -365,5 +350,5 @@ def env(
     render_mode: None = None,
     **options: Unpack[Options],
 ) -> AECEnv:
-    """The same environment in PettingZoo's agent-environment-cycle form."""
+    """The same environment in PettingZoo's AEC (agent-environment-cycle) form."""
     return parallel_to_aec(parallel_env(scenario, render_mode, **options))

@@ -1,4 +1,4 @@
-"""What becomes of a vehicle after its change is complete; definitions are in docs/metrics.md."""
+"""A vehicle in the time after its change is complete; definitions are in docs/metrics.md."""
 
 from dataclasses import dataclass, field
 from math import nan
@@ -6,11 +6,16 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.traffic.machine.compiled import on_columns
 from marl_lanes.traffic.machine.state import Fate
+from marl_lanes.traffic.road.geometry import is_wholly_in, lane_centre
 from marl_lanes.traffic.simulator import Simulator
 
+_is_wholly_in = on_columns(is_wholly_in)
+_lane_centre = on_columns(lane_centre)
+
 WATCHED_TIME = 10.0
-"""[s] How long a vehicle is watched after it has completed."""
+"""[s] How long a vehicle is observed after it has completed."""
 SETTLED_DEVIATION = 0.2
 """[m] A vehicle has settled once its deviation stays within this."""
 
@@ -22,23 +27,23 @@ class Aftermath:
     lateral_speed: float
     """At completion, positive beyond the target lane's centre [m/s]."""
     fate: Fate = Fate.STAYS
-    """How the watch ended: STAYS where the time was over, LEAVES at the road's end."""
+    """How the observation ended: STAYS if its time was over, LEAVES at the road's end."""
     has_left_lane: bool = False
-    """Its body was in a lane that it had no business in, or off the road."""
+    """Its body was in a lane that is not allowed, or off the road."""
     watched_time: float = 0.0
     """[s]"""
     deviation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    """(N,) from the target lane's centre at completion and after each step of the watch, positive
-    beyond it, as long as lane keeping keeps that lane [m]."""
+    """(N,) from the target lane's centre at completion and after each observed step, positive
+    beyond the centre, as long as lane keeping follows that lane [m]."""
 
     @property
     def is_lost(self) -> bool:
-        """It left the road over its edge, or turned across it."""
+        """It left the road over an edge, or its yaw reached 90 degrees."""
         return self.fate == Fate.STRAYS
 
     @property
     def has_collided(self) -> bool:
-        """With any vehicle, from ahead, behind or beside."""
+        """It collided with any vehicle, ahead, behind or beside."""
         return self.fate == Fate.COLLIDES
 
     @property
@@ -54,7 +59,7 @@ class Aftermath:
     def settling_time(self, time_step: float) -> float:
         """From completion until |deviation| stays within SETTLED_DEVIATION [s].
 
-        nan where it does not: in the last step of the watch it is beyond, lost or collided.
+        nan if it does not: in the last observed step it is beyond, or it is lost or has collided.
         """
         beyond = np.flatnonzero(np.abs(self.deviation) > SETTLED_DEVIATION)
         if self.is_lost or self.has_collided:
@@ -75,17 +80,17 @@ _WATCHED = np.dtype(
         ("lane", "i8"),  # the change's target
         ("last_step", "i8"),
         ("num_steps", "i8"),
-        # The lanes in which the body may be: those that it was in when it was told its lane.
+        # The allowed lanes of the body: those that it was in when lane keeping got its lane.
         ("lane_low", "i8"),
         ("lane_high", "i8"),
         ("has_left_lane", "?"),
-        ("has_moved", "?"),  # lane keeping was told another lane
+        ("has_moved", "?"),  # lane keeping got another lane
     ]
 )
 
 
 class Watch:
-    """Follows completed vehicles on the roads of a simulator, which must be stepped on."""
+    """Observes completed vehicles on the roads of a simulator while it is stepped."""
 
     def __init__(self, simulator: Simulator) -> None:
         self._simulator = simulator
@@ -96,18 +101,18 @@ class Watch:
 
     @property
     def is_over(self) -> bool:
-        """Whether no vehicle is left to watch."""
+        """Whether no vehicle is left to observe."""
         return not self._watched.size
 
     def begin(self, envs: NDArray[np.intp], slots: NDArray[np.intp]) -> list[Aftermath]:
-        """Watch the vehicles of agents that have completed in the last step.
+        """Begin to observe the vehicles of agents that have completed in the last step.
 
         Args:
-            envs: roads.
-            slots: agent slots, as many.
+            envs: (N,) roads.
+            slots: (N,) agent slots.
 
         Returns:
-            Their aftermaths, which are filled in by ``finish``.
+            Their aftermaths, which ``finish`` fills in.
         """
         simulator = self._simulator
         step = simulator.scenario.time_step
@@ -126,12 +131,12 @@ class Watch:
             one.fate = Fate(fate)
         self._found += found
         self._note_deviations(new, cars["lateral_position"])
-        # One that completes in the step in which it reaches the road's end is gone already.
+        # A vehicle that completes in the step that reaches the road's end is already removed.
         self._watched = np.concatenate([self._watched, new[cars["fate"] == Fate.STAYS]])
         return found
 
     def advance(self) -> None:
-        """Note the state after a step, before ``begin`` is told who completed in it."""
+        """Record the state after a step; call it before ``begin`` for the same step."""
         watched = self._watched
         if not watched.size:
             return
@@ -145,7 +150,7 @@ class Watch:
         watched["has_left_lane"] |= cars["lane_low"] < watched["lane_low"]
         watched["has_left_lane"] |= cars["lane_high"] > watched["lane_high"]
         watched["has_left_lane"] |= is_gone & (cars["fate"] == Fate.STRAYS)
-        is_in = (cars["lane_low"] == cars["lane"]) & (cars["lane_high"] == cars["lane"])
+        is_in = _is_wholly_in(cars.view(np.recarray))
         for name in ("lane_low", "lane_high"):
             watched[name][is_in] = cars["lane"][is_in]
         watched["has_moved"] |= cars["lane"] != watched["lane"]
@@ -160,7 +165,7 @@ class Watch:
         self._watched = watched[~is_over]
 
     def finish(self) -> None:
-        """Fill in the deviations; the watch must be over."""
+        """Fill in the deviations; the observation must be over."""
         indices = np.concatenate([np.zeros(0, np.int64), *self._indices])
         deviations = np.concatenate([np.zeros(0), *self._deviations])
         order = np.argsort(indices, kind="stable")
@@ -172,6 +177,6 @@ class Watch:
         self, watched: NDArray[np.void], lateral_position: NDArray[np.float64]
     ) -> None:
         width = self._simulator.scenario.road.lane_width
-        beyond = watched["direction"] * (lateral_position - (watched["lane"] + 0.5) * width)
+        beyond = watched["direction"] * (lateral_position - _lane_centre(watched["lane"], width))
         self._indices.append(watched["index"].copy())
         self._deviations.append(beyond)

@@ -48,12 +48,12 @@ MEANS = (
     "mean_peak_total_lateral_acceleration",
 )
 EXTREMES = ("max_follower_braking_all", "max_drac", "min_time_to_collision")
-"""The statistics of a pair, metrics of docs/metrics.md; the extremes have no interval."""
+"""The statistics of a pair, as defined in docs/metrics.md; the extremes have no interval."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A lane changer and a kind of follower, and the maneuvers that they drove."""
+    """A lane changer and a kind of follower, with their maneuvers."""
 
     changer: str
     followers: str
@@ -70,21 +70,21 @@ def crossplay(
     follower_policies: Mapping[str, FollowerPolicy] | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> dict[str, Any]:
-    """Drive every changer among every kind of follower and estimate what comes of it.
+    """Run every changer against every kind of follower and estimate the statistics of each pair.
 
-    Every pair is driven on the changer's scenario with its section ``followers`` overridden, from
+    Every pair runs on the changer's scenario with its section ``followers`` overridden, from
     the same seed: changers of one scenario meet the same vehicles until they act differently. A
-    policy that keeps a state, as a random one does, carries it on from pair to pair.
+    policy with a state, such as the random one, keeps it from pair to pair.
 
     Args:
         changers: label to scenario and policy, observations (N, F) to actions (N, D).
-        followers: label to what replaces fields of ``scenario.followers``, for example
+        followers: label to the overrides of ``scenario.followers``, for example
             ``{"mix": {"adversarial": 1.0}}`` or
             ``{"mix": {"learned": 1.0}, "learned": {"checkpoint": "follower.pt"}}``.
         num_maneuvers: of each pair, >= 1.
         seed: of the traffic and of the resamples.
-        follower_policies: by disposition, before those that are registered or saved.
-        progress: called after every step with the number of maneuvers driven so far, of
+        follower_policies: by disposition; they have priority over registered and saved ones.
+        progress: called after every step with the number of finished maneuvers, out of
             ``len(changers) * len(followers) * num_maneuvers``.
 
     Returns:
@@ -92,11 +92,11 @@ def crossplay(
         scenario name), ``followers`` (label to override) and ``pairs``: a list, by changer, then
         by follower, of ``changer``, ``scenario``, ``followers`` (both labels), ``num_maneuvers``,
         ``num_roads`` and ``statistics``, which maps each of RATES, MEANS and EXTREMES to ``value``,
-        ``low`` and ``high``. It holds only what JSON can.
+        ``low`` and ``high``. All values can be written as JSON.
 
     Raises:
-        ScenarioError: a scenario cannot be, its episodes have no end, or a follower's policy is
-            not known. Like every error about the arguments, before anything is driven.
+        ScenarioError: a scenario is invalid, its episodes have no end, or a follower has no
+            policy. This and every other error in the arguments comes before the simulation starts.
         CheckpointError: a follower's checkpoint cannot be read or does not fit.
         ValueError: another argument is out of range.
     """
@@ -138,22 +138,22 @@ def drive_pairs(
     follower_policies: Mapping[str, FollowerPolicy] | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Iterator[Pair]:
-    """The maneuvers of every pair, one after the other; arguments and errors as of ``crossplay``.
+    """The maneuvers of every pair, one pair at a time; arguments and errors as in ``crossplay``.
 
-    Every scenario and follower is looked at before the first one drives.
+    Every scenario and follower is checked before the first pair runs.
     """
     if num_maneuvers < 1:
         raise ValueError(f"num_maneuvers = {num_maneuvers}: must be at least 1")
     for name, given in (("changers", changers), ("followers", followers)):
         if not given:
-            raise ValueError(f"{name}: must hold at least one")
+            raise ValueError(f"{name}: must have at least one entry")
     prepared = []
     for changer, (scenario, policy) in changers.items():
         for label, override in followers.items():
             loaded = load_scenario(scenario, {"followers": override})
             check_episodes(loaded)
             drivers = find_policies(loaded, follower_policies)
-            choose_policies(loaded, drivers, has_learner=False)  # refuses one without a policy
+            choose_policies(loaded, drivers, has_learner=False)  # rejects one without a policy
             prepared.append((changer, label, loaded, policy, drivers))
     for number, (changer, label, loaded, policy, drivers) in enumerate(prepared):
 

@@ -1,7 +1,6 @@
-"""The report's figures, the paper's Figures 6 to 8 for a run, and those of the comparisons."""
+"""Figures of a run (the paper's Figure 6, Figure 7 and Figure 8) and of the comparisons."""
 
 import csv
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.evaluation.tables import format_estimate
+from marl_lanes.files import write_atomically
 from marl_lanes.scenario import Scenario
 
 RUNNING_MEAN = 200
@@ -25,15 +25,15 @@ _PANELS: tuple[tuple[str, str, float, int, list[float]], ...] = (
     ("collision_rate", "collided [%]", 100.0, 1, [0.0, 10.0]),
     ("mean_time_to_completion", "time to complete [s]", 1.0, 2, []),
 )
-"""Key, title, factor, decimals of a cross-play's panels; values that the colours always span."""
+"""Key, title, factor, decimals of a cross-play's panels; values that the colour scale includes."""
 
 
 def draw_training(run: Path, pretraining_transitions: int, optimal_return: float | None) -> None:
-    """Loss, return per maneuver, and of each saved model mean return and shares of maneuvers.
+    """Draw loss, return per maneuver, and mean return and success rates of each saved model.
 
     Args:
-        run: the run folder; the pictures go to its ``figures``.
-        pretraining_transitions: where stage one ends.
+        run: the run folder; the figures are written to its ``figures``.
+        pretraining_transitions: end of stage one.
         optimal_return: mean return of the optimum, drawn as a line; None for no line.
     """
     metrics = _read(run / "metrics.csv")
@@ -85,7 +85,7 @@ def draw_training(run: Path, pretraining_transitions: int, optimal_return: float
 def draw_maneuver(
     path: Path, first: Maneuver, last: Maneuver, labels: tuple[str, str], scenario: Scenario
 ) -> None:
-    """Yaw acceleration and yaw rate of two models on the same maneuver (Figure 8)."""
+    """Draw yaw acceleration and yaw rate of two models in the same maneuver (Figure 8)."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     panels: Any = figure.subplots(1, 2)
     for axes, name, unit in zip(
@@ -99,22 +99,22 @@ def draw_maneuver(
         axes.set_xlabel("time since engagement [s]")
         axes.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
     panels[0].legend()
-    figure.suptitle("The same maneuver under the first and the last saved model")
+    figure.suptitle("The same maneuver with the first and the last saved model")
     _save(figure, path)
 
 
 def check_figure(path: Path) -> None:
-    """Refuse, with a ValueError, a path that no figure can be written to."""
+    """Raise ValueError for a path to which no figure can be written."""
     formats = sorted(Figure().canvas.get_supported_filetypes())
     if path.is_dir() or path.suffix[1:].lower() not in formats:
         raise ValueError(f"figure {path}: must be a file that ends in one of {', '.join(formats)}")
 
 
 def draw_crossplay(path: Path, result: Mapping[str, Any]) -> None:
-    """Heat maps, changers by followers, every cell with its value and interval.
+    """Draw heat maps, changers by followers, with value and interval in every cell.
 
     Args:
-        path: of the picture.
+        path: of the figure.
         result: of ``crossplay``.
     """
     changers, followers = list(result["changers"]), list(result["followers"])
@@ -137,16 +137,17 @@ def draw_crossplay(path: Path, result: Mapping[str, Any]) -> None:
         axes.set_xticks(range(len(followers)), followers, rotation=20.0, ha="right")
         axes.set_yticks(range(len(changers)), changers)
     figure.suptitle(
-        f"{result['num_maneuvers']} maneuvers a cell, {100.0 * result['confidence']:g} % intervals"
+        f"{result['num_maneuvers']} maneuvers per cell, "
+        f"{100.0 * result['confidence']:g} % intervals"
     )
     _save(figure, path)
 
 
 def draw_gaps(path: Path, result: Mapping[str, Any]) -> None:
-    """One maneuver under every kind of follower: the gap behind it, the follower's acceleration.
+    """Draw the gap and the follower's acceleration in one maneuver with every kind of follower.
 
     Args:
-        path: of the picture.
+        path: of the figure.
         result: of ``compare_followers``.
     """
     figure = Figure(figsize=(7.2, 6.0), layout="constrained")
@@ -208,11 +209,6 @@ def _mark_optimum(axes: Any, optimal_return: float | None) -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Write the picture, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        figure.savefig(temporary, dpi=120, format=path.suffix[1:])
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    """Write the figure completely or not at all."""
+    kind = path.suffix[1:]
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120, format=kind))

@@ -1,4 +1,4 @@
-"""The gap behind a lane changer over time: the same maneuvers under different followers."""
+"""The gap behind a lane changer over time: the same maneuvers with different followers."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -16,44 +16,44 @@ from marl_lanes.traffic.machine.state import NONE, Phase
 from marl_lanes.traffic.roles.external import FollowerPolicy
 
 NEAR_GAP = 30.0
-"""[m] A follower is near where the gap at the engagement is below this."""
+"""[m] A follower is near if the gap at the engagement is below this."""
 GAP_CONFIDENCE = 0.99
-"""Coverage that the intervals of the gaps aim at."""
+"""Nominal coverage of the intervals of the gaps."""
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """A maneuver's first engagement, for as long as the same vehicle is behind it."""
+    """The first attempt of a maneuver, as long as the same vehicle is behind."""
 
     env: int
     trace: NDArray[np.void]
-    """(N,) TRACE, N >= 1, from the first step after the engagement on, without a pause."""
+    """(N,) TRACE, N >= 1, from the first step after the engagement, without a pause."""
 
     @property
     def start(self) -> tuple[int, int, float]:
-        """Step, follower and gap [m] of the engagement: equal where the traffic was the same."""
+        """Step, follower and gap [m] of the engagement: equal if the traffic was the same."""
         row = self.trace[0]
         return int(row["step"]), int(row["follower_id"]), float(row["follower_gap_before"])
 
     @property
     def entry(self) -> int | None:
-        """Row in which the body first overlaps the target lane, if it does in this attempt."""
+        """First row with the body in the target lane, None if there is none in this attempt."""
         return entry_row(self.trace)
 
     @property
     def abort(self) -> int | None:
-        """First row in which it steers back, if it does."""
+        """First row in which the changer aborts, None if it does not."""
         is_aborting = self.trace["phase"] == Phase.ABORTING
         return int(is_aborting.argmax()) if is_aborting.any() else None
 
     @property
     def gap_at_entry(self) -> float:
-        """[m], nan where it does not enter."""
+        """[m], nan if the changer does not enter the lane."""
         return np.nan if self.entry is None else float(self.trace["follower_gap"][self.entry])
 
 
 def first_attempt(maneuver: Maneuver) -> Attempt | None:
-    """The first engagement of a maneuver; None where it has none with a vehicle behind."""
+    """The first attempt of a maneuver; None without an engagement or a vehicle behind."""
     trace = maneuver.trace
     if not len(trace) or trace["follower_id"][0] == NONE:
         return None
@@ -76,37 +76,37 @@ def compare_followers(
 ) -> dict[str, Any]:
     """The gap to the target lane's follower from the engagement on, for every kind of follower.
 
-    A vehicle's disposition is drawn by one random number at its entry, whatever the mix. So the
-    traffic of a seed is the same until a changer engages for the first time on its road, and one
-    and the same maneuver can be shown under each kind. The statistics are of the comparable
-    engagements: under every kind they come in the same step, with the same vehicle behind, nearer
-    than NEAR_GAP; the gaps are of those that enter the lane under every kind.
+    The disposition of an entering vehicle uses one random number with every mix. So the traffic of
+    a seed is the same until a changer engages for the first time on its road, and the same maneuver
+    can be shown with each kind of follower. The statistics are over the comparable engagements:
+    with every kind they happen in the same step, with the same vehicle behind, nearer than
+    NEAR_GAP. The gaps are over those that enter the lane with every kind.
 
     Args:
-        scenario: whose section ``followers`` is overridden.
+        scenario: its section ``followers`` is overridden.
         policy: of the lane changer.
-        followers: label to what replaces fields of ``scenario.followers``.
-        num_maneuvers: to drive under each, >= 1.
+        followers: label to the overrides of ``scenario.followers``.
+        num_maneuvers: with each kind of follower, >= 1.
         seed: of the traffic and of the resamples.
-        maneuver: which one to show, from 0, in the order of road and command. None: the first that
-            engages with a follower nearer than NEAR_GAP and the same traffic until then.
-        follower_policies: by disposition, before those that are registered or saved.
-        progress: called after every step with the number of maneuvers driven so far, of
+        maneuver: index of the one to show, from 0, ordered by road and command. None: the first
+            one that engages with a follower nearer than NEAR_GAP and the same traffic until then.
+        follower_policies: by disposition; they have priority over registered and saved ones.
+        progress: called after every step with the number of finished maneuvers, out of
             ``len(followers) * num_maneuvers``.
 
     Returns:
         ``scenario``, ``seed``, ``num_maneuvers``, ``confidence``, ``near_gap``, ``maneuver``,
-        ``num_compared`` (comparable engagements), ``num_entered`` (under every kind) and
+        ``num_compared`` (comparable engagements), ``num_entered`` (with every kind) and
         ``followers``, by label: ``override``; ``entered_rate``, ``gap_at_entry``, ``gap_change``
         (since the engagement) and ``gap_difference`` (to the first kind, maneuver by maneuver) [m],
         each as ``value``, ``low``, ``high``; and ``shown``: ``time`` since the engagement [s],
-        ``gap`` [m], ``follower_acceleration`` [m/s^2] over the step that ends at that time, None at
-        0, ``entry_time`` and ``abort_time``, None without.
+        ``gap`` [m], ``follower_acceleration`` [m/s^2] over the step that ends at that time (None at
+        time 0), ``entry_time`` and ``abort_time`` [s] (None if there is no entry or abort).
 
     Raises:
-        ScenarioError: as for ``crossplay``, before anything is driven.
+        ScenarioError: as for ``crossplay``, before the simulation starts.
         CheckpointError: a follower's checkpoint cannot be read or does not fit.
-        ValueError: an argument is out of range, or no maneuver is the same until it engages.
+        ValueError: an argument is out of range, or no maneuver is the same until its engagement.
     """
     if maneuver is not None and maneuver not in range(max(1, num_maneuvers)):
         raise ValueError(f"maneuver = {maneuver}: must be 0 to {num_maneuvers - 1}")
@@ -121,7 +121,7 @@ def compare_followers(
             progress=progress,
         )
     ]
-    # One row a maneuver: its attempts, by follower; empty where one lacks.
+    # One row per maneuver: its attempt with each kind of follower; empty if one is missing.
     rows = [[attempts.get(key) for attempts in driven] for key in driven[0]]
     paired = [[one for one in row if one is not None] for row in rows]
     paired = [row if len(row) == len(followers) else [] for row in paired]
@@ -149,26 +149,27 @@ def compare_followers(
 
 
 def _is_comparable(row: Sequence[Attempt]) -> bool:
-    """Whether they engage in the same step, with the same vehicle near behind."""
+    """Whether all engage in the same step, with the same vehicle behind, near."""
     return len({one.start[:2] for one in row}) == 1 and all(one.start[2] < NEAR_GAP for one in row)
 
 
 def _choose(paired: Sequence[Sequence[Attempt]], wanted: int | None) -> int:
-    """The maneuver to show: the wanted one, or the first that can be and has a follower near."""
+    """The maneuver to show: the wanted one, or the first comparable one with a follower near."""
     same = [index for index, row in enumerate(paired) if len({one.start for one in row}) == 1]
     if wanted is not None:
         if wanted in same:
             return wanted
         raise ValueError(
             f"maneuver = {wanted}: must engage with a vehicle behind and the same traffic until "
-            f"then under every kind of follower, as do {', '.join(map(str, same[:10])) or 'none'}"
+            "then with every kind of follower; maneuvers that do: "
+            f"{', '.join(map(str, same[:10])) or 'none'}"
         )
     for index in same:
         if paired[index][0].start[2] < NEAR_GAP:
             return index
     raise ValueError(
         f"none of {len(paired)} maneuvers engages with a follower nearer than {NEAR_GAP:g} m and "
-        "the same traffic until then; drive more, or from another seed"
+        "the same traffic until then; use more maneuvers or another seed"
     )
 
 
@@ -178,7 +179,7 @@ def _statistics(
     column: int,
     seed: int,
 ) -> dict[str, dict[str, float | None]]:
-    """Of the kind in ``column``: of the comparable maneuvers, and of those that enter."""
+    """Statistics of the kind in ``column``, over the comparable maneuvers and those that enter."""
 
     def mean(
         rows: Sequence[Sequence[Attempt]], values: Sequence[float], *, is_rate: bool = False

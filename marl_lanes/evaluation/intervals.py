@@ -8,16 +8,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 CONFIDENCE = 0.95
-"""Coverage that the intervals aim at, unless told otherwise."""
+"""Default nominal coverage of the intervals."""
 NUM_RESAMPLES = 9999
-"""Bootstrap resamples of an interval."""
+"""Bootstrap resamples per interval."""
 _BATCH = 500
 """Resamples held in memory at once."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and its confidence interval; None where the sample defines none."""
+    """A mean and its confidence interval; None if the sample does not define them."""
 
     value: float | None
     low: float | None
@@ -34,23 +34,23 @@ def estimate_mean(
 ) -> Estimate:
     """Mean of the defined values, with a cluster bootstrap interval (percentile method).
 
-    Maneuvers of one road share its traffic and are not independent, so whole groups are drawn with
-    replacement; the mean of a resample is the sum of its values over their number. Groups without
-    a defined value are left out. Of a single group there is no interval.
+    Maneuvers on one road share its traffic and are not independent, so whole groups are drawn with
+    replacement. The mean of a resample is the sum of its values divided by their number. Groups
+    without a defined value are left out. A single group has no interval.
 
-    Where a rate is 0 or 1 every resample is the sample, and the bootstrap says nothing: the
-    interval is then the exact one (Clopper-Pearson), for values taken as independent.
+    If a rate is 0 or 1, every resample is the same and the bootstrap gives no width. The interval
+    is then the exact one (Clopper-Pearson), with the values treated as independent.
 
     Args:
-        values: (N,) one a maneuver; nan or inf where it is not defined. Of a rate: 0 or 1.
-        groups: (N,) the road of each.
+        values: (N,) one per maneuver; nan or inf if it is not defined. For a rate: 0 or 1.
+        groups: (N,) the road of each maneuver.
         is_rate: whether the values are 0 or 1.
         confidence: coverage, between 0 and 1.
         seed: of the resamples; equal seeds draw the same groups.
 
     Raises:
-        ValueError: the shapes differ, ``confidence`` is out of range, or a rate's value is neither
-            0 nor 1.
+        ValueError: the shapes differ, ``confidence`` is out of range, or a value of a rate is
+            neither 0 nor 1.
     """
     sample = np.asarray(values, np.float64)
     labels = np.asarray(groups)
@@ -63,7 +63,7 @@ def estimate_mean(
     is_defined = np.isfinite(sample)
     sample, labels = sample[is_defined], labels[is_defined]
     if is_rate and not np.isin(sample, (0.0, 1.0)).all():
-        raise ValueError("values: those of a rate must be 0 or 1")
+        raise ValueError("values: the values of a rate must be 0 or 1")
     if not sample.size:
         return Estimate(None, None, None)
     value = float(sample.mean())

@@ -1,4 +1,4 @@
-"""The linear programs of a lane change whose motion is linear in its actions."""
+"""Linear programs of a lane change: its motion is linear in the actions."""
 
 import math
 from dataclasses import dataclass
@@ -13,22 +13,22 @@ from marl_lanes.scenario.agent import Reward
 FloatArray = npt.NDArray[np.float64]
 
 _SLACK = 1e-8
-"""[m], [m/s], [rad/s], [rad/s^2] Rounding beyond a bound."""
+"""[m], [m/s], [rad/s], [rad/s^2] Tolerance of a bound for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """The linear programs of 1 ... M steps: that of N has the first N rows and columns of these.
+    """The linear programs of 1 ... M steps: N steps use the first N rows and columns.
 
-    What is known after each step is free + response @ actions. A row depends on no later action,
-    so the arrays are built once for all durations.
+    The values after each step are free + response @ actions. A row does not depend on later
+    actions, so the arrays are built once for all durations.
 
     Args:
         free: (3, M), rows as in replay.py.
         response: (3, M, M), lower triangles.
-        bounds: (3,), on what is known after the last step; infinite for no bound.
+        bounds: (3,), of the values after the last step; infinite for no bound.
         max_yaw_acceleration: bound on the actions [rad/s^2].
-        reward: its three weights of Eq. 10-12.
+        reward: its three weights (Eq. 10, Eq. 11, Eq. 12).
     """
 
     free: FloatArray
@@ -43,10 +43,10 @@ class Program:
         return int(self.free.shape[1])
 
     def solve(self, num_steps: int) -> tuple[float, FloatArray]:
-        """Cost and actions (N,) of the cheapest N steps; infinite and empty where there are none.
+        """Lowest cost of N steps and its actions (N,); infinite and empty without a solution.
 
-        Minimum of sum_k w_a |a_k| + w_w |turning_k| + w_d |deviation_k| / d_avg, |a_k| <= a_max,
-        what is known after the last step within its bounds.
+        Minimum of sum_k w_a |a_k| + w_w |turning_k| + w_d |deviation_k| / d_avg, with
+        |a_k| <= a_max and the values after the last step within their bounds.
         """
         n = num_steps
         free = np.concatenate([self.free[YAW_RATE, :n], self.free[DEVIATION, :n]])
@@ -59,7 +59,7 @@ class Program:
             ]
         )
         weights = np.zeros(3 * n + 1)
-        weights[:n] = self.reward.acceleration_weight
+        weights[:n] = self.reward.yaw_acceleration_weight
         weights[n : 2 * n] = self.reward.yaw_rate_weight
         weights[2 * n : 3 * n] = self.reward.deviation_weight / self.reward.average_deviation
         bounds = np.full(3 * n + 1, np.inf)
@@ -72,7 +72,7 @@ class Program:
         return float(weights @ values), actions
 
     def first_completion(self, yaw_acceleration: FloatArray) -> int:
-        """The number of steps after which the actions (N,) first complete; N if not before."""
+        """Number of steps after which the actions (N,) first complete; N if they never do."""
         n = yaw_acceleration.size
         known = self.free[:, :n] + self.response[:, :n, :n] @ yaw_acceleration
         is_there = (np.abs(known) <= self.bounds[:, np.newaxis] + _SLACK).all(axis=0)

@@ -1,4 +1,4 @@
-"""What is measured of one maneuver; docs/metrics.md gives every definition, unit and source."""
+"""Metrics of one maneuver; docs/metrics.md gives every definition, unit and source."""
 
 from dataclasses import dataclass
 from math import nan
@@ -12,6 +12,7 @@ from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.evaluation.safety import SafetyMetrics, attempts, hardest_braking, measure_safety
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.roles.changer import CHANGER
 
 LATERAL_JERK_WINDOW = 0.5
 """[s] Lateral jerk is averaged over this time, UN R79."""
@@ -19,9 +20,13 @@ LONGITUDINAL_JERK_WINDOW = 1.0
 """[s] Longitudinal jerk is averaged over this time, ISO 15622."""
 
 
+STEERING_COSTS = tuple(term.name for term in CHANGER.terms if term.is_steering_cost)
+"""The reward terms in the return of a maneuver, Eq. 13."""
+
+
 @dataclass(frozen=True)
 class AftermathMetrics:
-    """What is measured of a completed vehicle in the time after; nan where it is not defined."""
+    """Metrics of a vehicle in the time after completion; nan if not defined."""
 
     is_good: bool
     is_lost: bool
@@ -35,15 +40,14 @@ class AftermathMetrics:
 
 @dataclass(frozen=True)
 class ManeuverMetrics:
-    """What is measured of one maneuver; nan where it is not defined."""
+    """Metrics of one maneuver; nan if not defined."""
 
     outcome: Outcome
     num_aborts: int
     has_side_collision: bool
     return_: float
-    return_acceleration: float
-    return_yaw_rate: float
-    return_deviation: float
+    returns: dict[str, float]
+    """Return of each steering cost."""
     episode_reward: float
     num_steps: int
     duration: float
@@ -60,11 +64,11 @@ class ManeuverMetrics:
     max_changer_braking: float
     safety: SafetyMetrics
     after: AftermathMetrics | None
-    """None where the change was not completed."""
+    """None if the change was not completed."""
 
     @property
     def is_success(self) -> bool:
-        """Completed, and neither lost, nor collided, nor out of its lane afterwards."""
+        """Completed, and afterwards neither lost nor in a collision nor out of its lane."""
         return self.after is not None and self.after.is_good
 
 
@@ -74,13 +78,9 @@ def measure(
     """Every metric of one maneuver."""
     trace = maneuver.trace
     step = scenario.time_step
-    turning = trace["yaw_rate"] - trace["road_turn_rate"]
-    speed = trace["speed"]
+    turning, speed = trace["turning"], trace["speed"]
     lateral_acceleration = speed * turning
-    turning_before = trace["yaw_rate_before"] - trace["road_turn_rate_before"]
-    returns = [
-        float(trace[f"reward_{name}"].sum()) for name in ("acceleration", "yaw_rate", "deviation")
-    ]
+    returns = {name: float(trace[f"reward_{name}"].sum()) for name in STEERING_COSTS}
     is_completed = maneuver.outcome == Outcome.COMPLETED
     optimal = nan
     if is_completed and with_optimum:
@@ -89,10 +89,8 @@ def measure(
         outcome=maneuver.outcome,
         num_aborts=maneuver.num_aborts,
         has_side_collision=maneuver.has_side_collision,
-        return_=sum(returns),
-        return_acceleration=returns[0],
-        return_yaw_rate=returns[1],
-        return_deviation=returns[2],
+        return_=sum(returns.values()),
+        returns=returns,
         episode_reward=maneuver.episode_reward,
         num_steps=len(trace),
         duration=len(trace) * step,
@@ -103,7 +101,7 @@ def measure(
         peak_yaw_rate=_peak(turning),
         peak_lateral_acceleration=_peak(lateral_acceleration),
         peak_lateral_jerk=_peak_jerk(
-            trace, lateral_acceleration, speed * turning_before, LATERAL_JERK_WINDOW, step
+            trace, lateral_acceleration, speed * trace["turning_before"], LATERAL_JERK_WINDOW, step
         ),
         peak_total_lateral_acceleration=_peak(speed * trace["yaw_rate"]),
         peak_longitudinal_jerk=_peak_jerk(
@@ -134,7 +132,7 @@ def _measure_aftermath(aftermath: Aftermath, step: float) -> AftermathMetrics:
 
 
 def _optimal_return(maneuver: Maneuver, scenario: Scenario) -> float:
-    """The optimum of the speed profile since the last engagement; aborts before it are left out."""
+    """Optimum for the speed profile since the last engagement, without aborts before it."""
     trace = maneuver.trace
     aborted = np.flatnonzero(trace["phase"] == Phase.ABORTING)
     last = trace[aborted[-1] + 1 :] if aborted.size else trace
@@ -167,8 +165,8 @@ def _peak_jerk(
 ) -> float:
     """Largest |mean of the jerk over ``duration``|: the acceleration's change over the window.
 
-    Every attempt by itself, for nothing is recorded between two; the acceleration before its first
-    row, ``before``, is taken to have lasted for the window.
+    Each attempt is measured separately, because nothing is recorded between two attempts. The
+    acceleration ``before`` the first row of an attempt is assumed constant over the window.
     """
     window = max(1, round(duration / step))
     largest = nan

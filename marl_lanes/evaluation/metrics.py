@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from marl_lanes.evaluation.measures import ManeuverMetrics, measure
+from marl_lanes.evaluation.measures import STEERING_COSTS, ManeuverMetrics, measure
+from marl_lanes.evaluation.optimum import find_unminimised
 from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import Outcome
 
 HARD_BRAKING = (2, 4, 8)
-"""[m/s^2] Shares of changes in which someone brakes so hard, or harder, are reported."""
+"""[m/s^2] The shares of changes with braking of at least this are reported."""
 _ROUNDING = 1e-6
-"""[m/s^2] The braking limit is reached up to the rounding of a speed's difference."""
+"""[m/s^2] Tolerance, because braking is a difference of rounded speeds."""
 
 
 def _ended_by(outcome: Outcome) -> Callable[[ManeuverMetrics], float]:
@@ -24,6 +25,10 @@ def _ended_by(outcome: Outcome) -> Callable[[ManeuverMetrics], float]:
 
 def _if_completed(name: str) -> Callable[[ManeuverMetrics], float]:
     return lambda row: float(getattr(row, name)) if row.outcome == Outcome.COMPLETED else nan
+
+
+def _return_if_completed(name: str) -> Callable[[ManeuverMetrics], float]:
+    return lambda row: row.returns[name] if row.outcome == Outcome.COMPLETED else nan
 
 
 def _if_watched(name: str) -> Callable[[ManeuverMetrics], float]:
@@ -48,7 +53,7 @@ def _is_critical(row: ManeuverMetrics) -> float:
 
 
 def _brakes(limit: float, *names: str) -> Callable[[ManeuverMetrics], float]:
-    """Whether one of the decelerations reaches the limit, of a completed maneuver."""
+    """Whether one of the decelerations of a completed maneuver reaches the limit."""
 
     def contribution(row: ManeuverMetrics) -> float:
         if row.outcome != Outcome.COMPLETED:
@@ -113,9 +118,7 @@ AVERAGES: dict[str, Callable[[ManeuverMetrics], float]] = {
     "off_road_rate": _ended_by(Outcome.OFF_ROAD),
     "horizon_rate": _ended_by(Outcome.HORIZON),
     "mean_return": _if_completed("return_"),
-    "mean_return_acceleration": _if_completed("return_acceleration"),
-    "mean_return_yaw_rate": _if_completed("return_yaw_rate"),
-    "mean_return_deviation": _if_completed("return_deviation"),
+    **{f"mean_return_{name}": _return_if_completed(name) for name in STEERING_COSTS},
     "mean_return_all": lambda row: row.return_,
     "mean_episode_reward": lambda row: row.episode_reward,
     "mean_optimal_return": _if_completed("optimal_return"),
@@ -140,7 +143,7 @@ AVERAGES: dict[str, Callable[[ManeuverMetrics], float]] = {
     "critical_time_to_collision_rate": _is_critical,
     **{f"mean_{name}": _of_safety(name) for name in (*_SAFETY_LARGEST, *_SAFETY_SMALLEST)},
 }
-"""The metrics that are means over maneuvers: what each one contributes, nan where it does not."""
+"""The metrics that are means over maneuvers: the value of each maneuver, nan if not defined."""
 
 
 def _mean(values: Iterable[float]) -> float | None:
@@ -157,17 +160,25 @@ def _finite(values: Iterable[float]) -> list[float]:
     return [value for value in values if np.isfinite(value)]
 
 
-def summarise(measured: Sequence[ManeuverMetrics]) -> dict[str, Any]:
-    """The metrics over all maneuvers, the headline first; None where no maneuver defines one."""
+def summarise(
+    measured: Sequence[ManeuverMetrics], *, no_optimum: str | None = None
+) -> dict[str, Any]:
+    """The metrics over all maneuvers, the main one first; None if no maneuver defines it.
+
+    Args:
+        measured: of every maneuver.
+        no_optimum: why the maneuvers have no optimum, None if they have.
+    """
     averages = {key: _mean(map(each, measured)) for key, each in AVERAGES.items()}
     optimal = averages["mean_optimal_return"]
     returns = [row.return_ for row in measured if np.isfinite(row.optimal_return)]
-    # The headline: no cost is read without what became of the vehicles.
+    # First the success rate: it says what a cost alone does not, how the vehicles end.
     summary: dict[str, Any] = {
         "num_maneuvers": len(measured),
         "success_rate": averages["success_rate"],
         "completion_rate": averages["completion_rate"],
         "cost_ratio": float(np.mean(returns)) / optimal if optimal else None,
+        "no_cost_ratio": no_optimum or (None if optimal else "no maneuver was completed"),
         **averages,
     }
     for name in _COMPLETED_PEAKS:
@@ -197,17 +208,22 @@ def evaluate(
     with_optimum: bool = True,
     progress: Callable[[int], object] | None = None,
 ) -> dict[str, Any]:
-    """Measure every maneuver and summarise them.
+    """Measure every maneuver and average the results.
 
     Args:
         maneuvers: of one policy on ``scenario``.
-        scenario: that they were driven on.
-        with_optimum: also solve for the optimum of each completed one.
+        scenario: scenario of the maneuvers.
+        with_optimum: also solve for the optimum of each completed maneuver, if the optimum
+            minimises every cost of the scenario's reward.
         progress: called after each maneuver with the number measured so far.
     """
+    unminimised = find_unminimised(scenario)
+    no_optimum = None if with_optimum else "the optimum was not computed"
+    if unminimised:
+        no_optimum = f"the optimum does not minimise {', '.join(unminimised)}"
     measured = []
     for count, maneuver in enumerate(maneuvers, 1):
-        measured.append(measure(maneuver, scenario, with_optimum=with_optimum))
+        measured.append(measure(maneuver, scenario, with_optimum=no_optimum is None))
         if progress is not None:
             progress(count)
-    return summarise(measured)
+    return summarise(measured, no_optimum=no_optimum)

@@ -1,8 +1,7 @@
-"""The cheapest lane change for a given speed profile.
+"""The cheapest lane change for a given speed profile, with which a lane changer is compared.
 
-It is what a lane changer is held against: the reward's own terms as the cost, the completion
-criterion as the end, the simulation's own step as the motion, the duration free. Only the steering
-is optimised; the speed profile is the maneuver's own.
+The cost is the reward's terms, the end the completion criterion, the motion the simulation's step.
+The duration is free. Only the steering is optimized; the speed profile is that of the maneuver.
 """
 
 import math
@@ -16,26 +15,40 @@ from marl_lanes.evaluation.linear_program import Program
 from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE, Replay
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.parameters import make_parameters
+from marl_lanes.traffic.roles.changer import CHANGER
 
 FloatArray = npt.NDArray[np.float64]
+
+MINIMISED = ("yaw_acceleration", "yaw_rate", "deviation")
+"""The terms of the reward whose cost is minimised."""
 
 MAX_EXTENSION = 20.0
 """[s] How much longer than the recorded maneuver the optimum may take."""
 
 TOLERANCE = 1e-6
-"""[1] Of the optimum's cost: what linearising the motion anew can still gain."""
+"""[1] Share of the cost by which another linearization may still lower it."""
 
 _STRIDE = 3
-"""Steps between the durations of the first search; a dip is wider."""
+"""Steps between the durations of the first search; local minima are wider."""
 
 _DIP_MARGIN = 0.03
-"""[1] Dips dearer by more than this are left: more than the first linearisation can be wrong."""
+"""[1] Local minima with a larger extra cost are left out; the first linearization errs by less."""
 
 _MARGIN = 1e-7
-"""[m], [m/s], [rad/s] By which the end lies within the completion criterion."""
+"""[m], [m/s], [rad/s] Margin of the final state inside the completion criterion."""
 
 _MAX_ROUNDS = 25
-"""Linearisations; three or four are usual."""
+"""Limit of linearizations; three or four are usual."""
+
+
+def find_unminimised(scenario: Scenario) -> list[str]:
+    """The steering costs that the scenario's reward charges, and that are not minimised here.
+
+    Where there is one, a maneuver's return and the optimum's are sums of different costs.
+    """
+    weighed = zip(CHANGER.terms, CHANGER.weights(scenario), strict=True)
+    charged = [term.name for term, weight in weighed if term.is_steering_cost and weight]
+    return [name for name in charged if name not in MINIMISED]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,43 +80,41 @@ def optimal_lane_change(
 ) -> Optimum:
     """Minimum over N and a of sum_k w_a |a_k| + w_w |omega_k+1 - turn_k+1| + w_d |e_k+1| / d_avg.
 
-    The sum runs over k = 0 ... N-1; e is the deviation, turn = c v cos(psi)/(1 - c d) the road's
-    turning under the vehicle. The motion is the simulation's step itself, with the speed profile
-    held fixed over time; where the vehicle is on the road, and so the curvature that it meets,
-    follows from the actions. Subject to |a_k| <= max_yaw_acceleration and, at N >= 1, to the
-    completion criterion. The actions, driven in the simulation at this speed, complete in step N
-    and cost what is claimed.
+    The sum is over k = 0 ... N-1; e is the deviation, turn = c v cos(psi)/(1 - c d) the road's
+    turning under the vehicle. The motion is the simulation's step, with a fixed speed as a function
+    of time. The position on the road, and so the curvature at it, follows from the actions. The
+    constraints are |a_k| <= max_yaw_acceleration and, at N >= 1, the completion criterion. In the
+    simulation at this speed these actions complete in step N, at exactly this cost.
 
     For fixed N the problem is solved by linear programs around the last solution, until another
-    one gains no more than TOLERANCE. The motion is so nearly linear that this is the global
-    minimum in every search that was made for a better one; it is proven only to be a local one.
+    one lowers the cost by no more than TOLERANCE. The result is proven to be a local minimum. No
+    search for a better one has found any, because the motion is almost linear.
 
-    The program asks for completion at step N only, which can only lower its cost. It loses nothing
-    by that: what leads to an earlier completion is itself a candidate, of smaller N and no greater
-    cost.
+    The program requires completion only at step N, which can only lower its cost. This is valid,
+    because actions that complete earlier are a candidate with a smaller N and no higher cost.
 
     Args:
-        scenario: its road, time step, reward, completion and bound of the action; the failure
-            penalty and the terms of delay and longitudinal action play no part.
-        speed: speed in each step, (K,) [m/s], K >= 1; its last value goes on.
+        scenario: gives road, time step, reward, completion and bound of the action; the failure
+            penalty and the terms of delay and longitudinal action are not used.
+        speed: speed in each step, (K,) [m/s], K >= 1; the last value is used for later steps.
         deviation: e_0, lateral deviation from the target lane's centre, positive on the side
             from which a positive yaw leads back to it [m].
         yaw: psi_0, yaw relative to the road, positive toward the target lane [rad].
-        yaw_rate: omega_0, in the same direction, the road's own turning included [rad/s].
-        direction: of the lane change, +1 to the left, -1 to the right; matters on curves alone.
-        initial_speed: before the first step [m/s]; by default the first step's.
-        position: s_0, on the road [m]; matters on curves alone, as the next one.
-        lateral_position: d_0, from the road's right edge [m].
+        yaw_rate: omega_0, in the same direction, with the road's turning [rad/s].
+        direction: of the lane change, +1 to the left, -1 to the right; used only on curves.
+        initial_speed: before the first step [m/s]; by default that of the first step.
+        position: s_0, on the road [m]; used only on curves.
+        lateral_position: d_0, from the road's right edge [m]; used only on curves.
 
     Returns:
         The optimum.
 
     Raises:
-        ValueError: an input is empty, of the wrong shape, not finite or out of range; or no
-            duration tried, up to MAX_EXTENSION beyond the recorded one, leads to completion.
-        RuntimeError: the solver failed, or linearising did not converge.
+        ValueError: an input is empty, not finite, out of range or has a wrong shape; or no
+            duration, up to MAX_EXTENSION beyond the recorded one, leads to completion.
+        RuntimeError: the solver failed, or the linearization did not converge.
 
-    Source: the cost is paper eq. 10-13.
+    Source: the cost is Eq. 10, Eq. 11, Eq. 12 and Eq. 13 of the paper.
     """
     numbers = {"deviation": deviation, "yaw": yaw, "yaw_rate": yaw_rate, "position": position}
     for name, value in (numbers | {"lateral_position": lateral_position}).items():
@@ -130,16 +141,16 @@ def optimal_lane_change(
     optimum = _Search(scenario, replay).run(profile.size)
     if optimum is None:
         raise ValueError(
-            f"deviation is {deviation!r} m; it must be one that |yaw acceleration| <= "
-            f"{scenario.action.max_yaw_acceleration!r} rad/s^2 can bring to "
-            f"({scenario.completion}) at the recorded speed within {replay.speed.size} steps of "
-            f"{scenario.time_step!r} s"
+            f"deviation is {deviation!r} m; |yaw acceleration| <= "
+            f"{scenario.action.max_yaw_acceleration!r} rad/s^2 must be able to bring it to "
+            f"completion ({scenario.completion}) at the recorded speed within "
+            f"{replay.speed.size} steps of {scenario.time_step!r} s"
         )
     return optimum
 
 
 class _Search:
-    """The search over the duration, and the linearisation around its result."""
+    """The search over the duration, and the linearization around its result."""
 
     def __init__(self, scenario: Scenario, replay: Replay) -> None:
         self.replay = replay
@@ -154,32 +165,32 @@ class _Search:
         self.solved: dict[int, tuple[float, FloatArray]] = {}
 
     def run(self, num_recorded: int) -> Optimum | None:
-        """The optimum; None where nothing leads to completion."""
+        """The optimum; None if no duration leads to completion."""
         self.linearise(np.empty(0), num_recorded)
         start = num_recorded
         while math.isinf(self.cost_of(start)):
             if start == self.longest:
                 return None
             start = min(self.longest, start + max(1, start // 2))
-        # Far beyond the optimum the cost is flat, and its actions complete long before they end.
+        # Far above the optimal duration the cost is flat, and the actions complete before the end.
         start = min(self.first_completion(start), start, key=self.cost_of)
         dips = self.find_dips(start)
         found = [self.refine(n, actions) for n, actions in dips.items()]
         return max(found, key=lambda one: one.total_return)
 
     def find_dips(self, start: int) -> dict[int, FloatArray]:
-        """Durations at which the cost over N has a dip, none much dearer than the cheapest.
+        """Local minima of the cost over N, without those much above the lowest.
 
-        All durations up to half as long again as the first guess, _STRIDE apart, then the floor
-        of each dip in single steps.
+        Tries durations up to one and a half times the first guess, _STRIDE apart, then finds the
+        exact minimum of each dip in single steps.
         """
         longest = start
         while True:
             longest = min(self.longest, longest + longest // 2 + 2 * _STRIDE)
-            # The longest first: the linear motion is built once.
+            # The longest first, so that the linear motion is built only once.
             tried = list(range(longest, 0, -_STRIDE))[::-1]
             costs = [math.inf, *[self.cost_of(n) for n in tried[::-1]][::-1], math.inf]
-            # Not where the cost still falls at the end.
+            # Continue while the cost still falls at the longest duration.
             if longest == self.longest or costs[-2] > min(costs):
                 break
         limit = (1.0 + _DIP_MARGIN) * min(costs)
@@ -191,12 +202,12 @@ class _Search:
         return found
 
     def refine(self, num_steps: int, actions: FloatArray) -> Optimum:
-        """The solution in the simulation near these actions, and near this duration."""
+        """The solution in the simulation near these actions and this duration."""
         best = self.converge(num_steps, actions)
         while best is None:
-            # The shortest durations may turn out to be too short.
+            # In the simulation the shortest durations may be too short.
             if num_steps == self.longest:
-                raise RuntimeError(f"{actions.size} steps: nothing completes in the simulation")
+                raise RuntimeError(f"{actions.size} steps: no completion in the simulation")
             num_steps += 1
             best = self.converge(num_steps, actions)
         tried = {best.num_steps}
@@ -214,7 +225,7 @@ class _Search:
                 return best
 
     def converge(self, num_steps: int, actions: FloatArray) -> Optimum | None:
-        """Linearise around the solution until that gains nothing; None where there is none."""
+        """Linearize around the solution until the cost stays; None if there is no solution."""
         for _ in range(_MAX_ROUNDS):
             cost, is_completed = self.cost_in_simulation(actions)
             self.linearise(actions, min(self.longest, num_steps + 2 * _STRIDE))
@@ -224,10 +235,10 @@ class _Search:
             if is_completed and actions.size == num_steps and gain <= TOLERANCE * cost:
                 return Optimum(-cost, num_steps, actions)
             actions = self.solved[num_steps][1]
-        raise RuntimeError(f"{num_steps} steps: no convergence in {_MAX_ROUNDS} linearisations")
+        raise RuntimeError(f"{num_steps} steps: no convergence in {_MAX_ROUNDS} linearizations")
 
     def linearise(self, actions: FloatArray, size: int) -> None:
-        """Take the motion of ``size`` steps near the actions, then lane keeping's, as linear."""
+        """Linearize the motion of ``size`` steps: the actions, then those of lane keeping."""
         self.replay.follow(actions)
         self.replay.steer(actions.size, self.longest)
         self.resize(size)
@@ -244,7 +255,7 @@ class _Search:
         self.solved = {}
 
     def cost_of(self, num_steps: int) -> float:
-        """Of the linear program of so many steps; infinite where it has no solution."""
+        """Cost of the linear program with this number of steps; infinite without a solution."""
         if num_steps > self.program.size:
             kept = self.solved
             self.resize(min(self.longest, num_steps + 2 * _STRIDE))
@@ -254,14 +265,14 @@ class _Search:
         return self.solved[num_steps][0]
 
     def first_completion(self, num_steps: int) -> int:
-        """After how many of the solution's steps the linear motion is first completed."""
+        """Number of the solution's steps after which the linear motion is first complete."""
         return self.program.first_completion(self.solved[num_steps][1])
 
     def cost_in_simulation(self, actions: FloatArray) -> tuple[float, bool]:
-        """What the actions really cost, and whether they end in completion."""
+        """The cost of the actions in the simulation, and whether they end in completion."""
         known = self.replay.follow(actions)
         cost = (
-            self.reward.acceleration_weight * np.abs(actions).sum()
+            self.reward.yaw_acceleration_weight * np.abs(actions).sum()
             + self.reward.yaw_rate_weight * np.abs(known[YAW_RATE]).sum()
             + self.reward.deviation_weight
             * (np.abs(known[DEVIATION]) / self.reward.average_deviation).sum()
@@ -270,10 +281,10 @@ class _Search:
 
 
 def _descend(cost_of: Callable[[int], float], start: int, longest: int) -> int:
-    """Walk downhill to a duration from which a step either way costs no less."""
+    """Descend to a local minimum of the cost over the duration."""
     best = start
     while True:
-        # Of equal ones the shortest.
+        # Among equal costs the shortest duration.
         near = [n for n in (best - 1, best, best + 1) if 1 <= n <= longest]
         cheapest = min(near, key=cost_of)
         if cost_of(cheapest) == cost_of(best) and cheapest >= best:

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from marl_lanes.evaluation.rollout import Policy
 from marl_lanes.naf.lateral import TUNED_CASCADE, steer_by_cascade
 from marl_lanes.scenario import Scenario, ScenarioError
+from marl_lanes.traffic.roles.changer import CHANGER
 
 _STEERING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
 _CAR_FOLLOWING = "car_following_acceleration"
 
 Column = NDArray[np.float64]
-"""(N,) of N agents."""
+"""(N,), one value per agent."""
 
 
 def make_random_policy(scenario: Scenario, seed: int) -> Policy:
@@ -31,7 +32,7 @@ def make_random_policy(scenario: Scenario, seed: int) -> Policy:
 def make_lane_keeping_policy(scenario: Scenario) -> Policy:
     """Never change lanes: p^3 e/v - 3 p^2 psi - 3 p (omega - c v), e to the nearest lane's centre.
 
-    Where the action has a second dimension, that is what car following would do.
+    A second action, if the scenario has one, is the car-following acceleration.
 
     Raises:
         ScenarioError: a feature that it needs is not observed.
@@ -48,9 +49,9 @@ def make_lane_keeping_policy(scenario: Scenario) -> Policy:
 
 
 def make_tuned_cascade_policy(scenario: Scenario) -> Policy:
-    """The classical controller that a learner must beat: the cascade with its tuned constants.
+    """The classical controller to compare learners with: mu cascade with its tuned constants.
 
-    Where the action has a second dimension, that is what car following would do.
+    A second action, if the scenario has one, is the car-following acceleration.
 
     Raises:
         ScenarioError: a feature that it needs is not observed.
@@ -72,7 +73,7 @@ def make_tuned_cascade_policy(scenario: Scenario) -> Policy:
 def _make_steering_policy(
     scenario: Scenario, name: str, steer: Callable[[Column, Column, Column, Column], Column]
 ) -> Policy:
-    """A policy of speed, deviation, yaw and yaw rate relative to the road; else car following."""
+    """A policy that steers by ``steer`` (yaw rate relative to the road), with car following."""
     has_longitudinal = scenario.action.longitudinal is not None
     needed = (*_STEERING_FEATURES, _CAR_FOLLOWING) if has_longitudinal else _STEERING_FEATURES
     columns = _columns(scenario, needed, name)
@@ -80,7 +81,7 @@ def _make_steering_policy(
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         seen = observations[:, columns].astype(np.float64)
-        # Copies: a torch tensor wants rows that lie together.
+        # Copies, because torch needs contiguous rows.
         speed, deviation, yaw, yaw_rate, curvature = seen[:, : len(_STEERING_FEATURES)].T.copy()
         steering = steer(speed, deviation, yaw, yaw_rate - curvature * speed)
         actions = np.column_stack([steering, seen[:, len(_STEERING_FEATURES) :]])
@@ -90,13 +91,9 @@ def _make_steering_policy(
 
 
 def _bounds(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The least and the largest action, each (D,)."""
-    yaw = scenario.action.max_yaw_acceleration
-    longitudinal = scenario.action.longitudinal
-    if longitudinal is None:
-        return np.array([-yaw]), np.array([yaw])
-    low = np.array([-yaw, -longitudinal.max_braking])
-    return low, np.array([yaw, longitudinal.max_acceleration])
+    """The smallest and the largest action, each (D,)."""
+    dimensions = CHANGER.act(scenario)
+    return np.array([one.low for one in dimensions]), np.array([one.high for one in dimensions])
 
 
 def _columns(scenario: Scenario, needed: Sequence[str], name: str) -> list[int]:
@@ -104,7 +101,7 @@ def _columns(scenario: Scenario, needed: Sequence[str], name: str) -> list[int]:
     missing = [name for name in needed if name not in features]
     if missing:
         raise ScenarioError(
-            f"scenario {scenario.name!r}: observation.features = {features} must hold {missing} "
+            f"scenario {scenario.name!r}: observation.features = {features} must contain {missing} "
             f"for the policy {name}"
         )
     return [features.index(name) for name in needed]

@@ -1,4 +1,4 @@
-"""One vehicle driven again through the simulation's own step: a speed profile and its steering."""
+"""One vehicle in the simulation's step, with a given speed profile and given steering."""
 
 from typing import Any
 
@@ -14,15 +14,15 @@ from marl_lanes.traffic.road.motion import integrate
 FloatArray = npt.NDArray[np.float64]
 
 YAW_RATE, LATERAL_SPEED, DEVIATION = range(3)
-"""Rows of what is known after a step: yaw rate beyond the road's own turning [rad/s], lateral speed
-[m/s] and deviation from the target lane's centre [m], in the maneuver frame."""
+"""Rows of ``known``, the values after a step: yaw rate minus the road's turning [rad/s], lateral
+speed [m/s] and deviation from the target lane's centre [m], in the maneuver frame."""
 
 _DIFFERENCE = 1e-3
-"""[rad/s^2] Half of the difference by which a derivative is taken. The step is smooth, almost
-linear: the error is of its square, and rounding stays below 1e-10."""
+"""[rad/s^2] Half of the difference for a derivative. The step is smooth and almost linear: the
+error is of second order in it, and rounding stays below 1e-10."""
 
 _POLE = 1.2
-"""[rad/s] Of the steering that ``Replay.steer`` does; triple, as in lane keeping."""
+"""[rad/s] Triple pole of the steering in ``Replay.steer``, which is as in lane keeping."""
 
 _MIN_SPEED = 1.0
 """[m/s] As in lane keeping."""
@@ -40,14 +40,14 @@ def advance(
     known: Any,
     k: int,
 ) -> None:
-    """One time step to the given speed; ``known[:, k]`` is what is known after it."""
+    """One time step to the given speed; writes the values after it to ``known[:, k]``."""
     turn_rate = road_turn_rate(car, arcs)
     car.acceleration = (speed - car.speed) / constants.time_step
     car.yaw_acceleration = direction * action
     lateral_position = car.lateral_position
     integrate(car, turn_rate, arcs, constants)
     known[0, k] = direction * (car.yaw_rate - road_turn_rate(car, arcs))
-    # v sin psi, as the completion criterion has it.
+    # v sin psi, as in the completion criterion.
     known[1, k] = direction * (car.lateral_position - lateral_position) / constants.time_step
     known[2, k] = direction * (centre - car.lateral_position)
 
@@ -68,7 +68,7 @@ def drive(
 ) -> None:
     """Steps ``begin`` to ``end``: ``cars[k]`` is the vehicle before step k, ``cars[k + 1]`` after.
 
-    Where it is steering, the actions are lane keeping's toward the centre, and are written.
+    If ``is_steering``, lane keeping toward the centre chooses the actions and writes them.
     """
     bound = constants.max_yaw_acceleration
     for k in range(begin, end):
@@ -99,8 +99,8 @@ def respond(
     """Central differences: ``response[:, k, j]`` is the derivative of ``known[:, k]`` by action j.
 
     Args:
-        cars: (M + 1,) VEHICLE along the way, ``drive``'s.
-        count: steps to take the derivatives of.
+        cars: (M + 1,) VEHICLE along the path, from ``drive``.
+        count: number of steps with derivatives.
         speed: (M,) [m/s].
         actions: (M,) [rad/s^2].
         direction: +1 to the left, -1 to the right.
@@ -123,11 +123,11 @@ def respond(
 
 
 class Replay:
-    """A vehicle's way under a given speed, as a function of its yaw accelerations.
+    """A vehicle's path at a given speed, as a function of its yaw accelerations.
 
     Args:
         parameters: of the scenario.
-        speed: (M,) used in each step [m/s].
+        speed: (M,) speed in each step [m/s].
         initial_speed: before the first step [m/s].
         position, lateral_position: s and d before the first step [m].
         yaw, yaw_rate: before the first step, in the maneuver frame [rad], [rad/s].
@@ -164,13 +164,13 @@ class Replay:
         self._drive(begin, end, is_steering=True)
 
     def follow(self, actions: FloatArray) -> FloatArray:
-        """What is known after each of the actions (N,): (3, N) float64."""
+        """The values after each of the actions (N,): (3, N) float64."""
         self._actions[: actions.size] = actions
         self._drive(0, actions.size, is_steering=False)
         return self._known[:, : actions.size].copy()
 
     def linearise(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Along the last actions: what would be known without them, and its derivative by them.
+        """Around the last actions: the values without actions, and their derivative by actions.
 
         Returns:
             (3, count) and (3, count, count): known = free + response @ actions near the last ones.

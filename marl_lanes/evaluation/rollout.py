@@ -11,11 +11,20 @@ from numpy.typing import NDArray
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.evaluation.aftermath import Aftermath, Watch
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.traffic.command.phases import reference_lane
 from marl_lanes.traffic.counterfactual import accelerations_without_change
-from marl_lanes.traffic.machine.state import NONE, CollisionKind, Outcome, Phase
-from marl_lanes.traffic.road.geometry import road_turning
+from marl_lanes.traffic.machine.compiled import on_columns
+from marl_lanes.traffic.machine.state import NONE, CollisionKind, Outcome
+from marl_lanes.traffic.road.geometry import is_body_in, lane_centre, road_turning
+from marl_lanes.traffic.road.neighbors import bumper_gap
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.simulator import Simulator
+
+_is_body_in = on_columns(is_body_in)
+_lane_centre = on_columns(lane_centre)
+_reference_lane = on_columns(reference_lane)
+_bumper_gap = on_columns(bumper_gap)
 
 Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 """Observations of N acting agents, (N, F), to their actions, (N, D)."""
@@ -26,7 +35,7 @@ TRACE = np.dtype(
         ("command", "i8"),
         ("step", "i8"),  # of the road, after the step
         ("direction", "i4"),  # +1 to the left, -1 to the right
-        ("phase", "i4"),  # in which the agent acted
+        ("phase", "i4"),  # phase in which the agent acted
         # Before the step, in the road frame.
         ("position_before", "f8"),
         ("lateral_position_before", "f8"),
@@ -36,7 +45,7 @@ TRACE = np.dtype(
         ("yaw_before", "f8"),
         ("yaw_rate_before", "f8"),
         ("curvature", "f8"),
-        ("road_turn_rate_before", "f8"),
+        ("turning_before", "f8"),  # yaw rate relative to the road's turning
         ("acceleration_before", "f8"),
         ("follower_gap_before", "f8"),  # inf where there is none
         # After the step, in the maneuver frame.
@@ -46,7 +55,7 @@ TRACE = np.dtype(
         ("yaw", "f8"),
         ("yaw_rate", "f8"),
         ("yaw_acceleration", "f8"),
-        ("road_turn_rate", "f8"),
+        ("turning", "f8"),  # yaw rate relative to the road's turning
         ("position", "f8"),
         ("is_over_marking", "?"),  # the body is in the target lane
         ("is_in_origin", "?"),  # the body is in the origin lane
@@ -63,21 +72,19 @@ TRACE = np.dtype(
         ("origin_leader_speed", "f8"),
         ("origin_follower_gap", "f8"),
         ("origin_follower_speed", "f8"),
-        # Braking beyond what car following without the change would ask in the state before the
-        # step, of the changer and of who was behind it then; nan where nobody was.
+        # Braking beyond that of car following without the lane change, in the state before the
+        # step, of the changer and of the vehicle behind it then; nan where there was none.
         ("imposed_on_changer", "f8"),
         ("imposed_on_follower", "f8"),
-        ("reward_acceleration", "f8"),
-        ("reward_yaw_rate", "f8"),
-        ("reward_deviation", "f8"),
+        *((name, "f8") for name in CHANGER.reward_names),
     ]
 )
-"""One row for every step in which an agent steered."""
+"""One row per step in which an agent steered."""
 
 
 @dataclass
 class Maneuver:
-    """One command, from its birth to its outcome."""
+    """One command, from its start to its outcome."""
 
     env: int
     command: int
@@ -90,25 +97,25 @@ class Maneuver:
     time_to_end: float
     """From the command to the outcome [s]."""
     has_side_collision: bool
-    """It ended in a collision that came across the road while it steered."""
+    """It ended in a collision of the kind side while the agent steered."""
     episode_reward: float
-    """Sum of every term of the reward since the command, waiting included."""
+    """Sum of all reward terms since the command, with the waiting steps."""
     trace: NDArray[np.void]
-    """(N,) TRACE, in the order of time; empty where it never engaged."""
+    """(N,) TRACE, ordered by time; empty if it never engaged."""
     aftermath: Aftermath | None = None
-    """What became of the vehicle; None where the change was not completed."""
+    """The vehicle in the time after completion; None if the change was not completed."""
 
     def __post_init__(self) -> None:
-        """Refuse a completed change of which nobody knows what became of it."""
+        """Reject a completed change without its aftermath, and an aftermath without completion."""
         if (self.aftermath is None) == (self.outcome == Outcome.COMPLETED):
             raise ValueError(
-                f"aftermath = {self.aftermath}: must be there if and only if the outcome is "
-                f"COMPLETED, is {self.outcome.name}"
+                f"aftermath = {self.aftermath}: must be given if and only if the outcome is "
+                f"COMPLETED; the outcome is {self.outcome.name}"
             )
 
 
 class _Recorder:
-    """Collects traces and outcomes of E roads while they are stepped."""
+    """Records traces and outcomes of E roads while they are stepped."""
 
     def __init__(self, simulator: Simulator) -> None:
         self.simulator = simulator
@@ -117,9 +124,9 @@ class _Recorder:
         self.watch = Watch(simulator)
 
     def before(self) -> None:
-        """Note who steers, and the state in which it acts."""
+        """Record the agents that steer, and the state in which they act."""
         simulator = self.simulator
-        envs, slots = np.nonzero(simulator.is_engaged)
+        envs, slots = np.nonzero(simulator.is_steering)
         agents = simulator.agents[envs, slots]
         cars = simulator.vehicles[envs, agents["vehicle"]]
         rows = np.zeros(envs.size, TRACE)
@@ -134,15 +141,16 @@ class _Recorder:
         rows["acceleration_before"] = cars["acceleration"]
         curvature, turn_rate = road_turning(cars, simulator.parameters.arcs)
         rows["curvature"] = direction * curvature
-        rows["road_turn_rate_before"] = direction * turn_rate
-        rows["follower_gap_before"] = self._gap(envs, cars, agents["target_follower"], -1.0)
+        rows["turning_before"] = direction * (cars["yaw_rate"] - turn_rate)
+        behind = agents["target_follower"]
+        rows["follower_gap_before"] = self._gap(envs, cars, behind, is_ahead=False)
         without = accelerations_without_change(simulator.state, simulator.parameters)
         self._pending = rows, envs, slots
         self._without = [found[envs, slots] for found in without]
         self._vehicles = agents["vehicle"].copy(), agents["target_follower"].copy()
 
     def after(self) -> None:
-        """Complete the rows, and note the commands that ended."""
+        """Complete the rows, and record the commands that ended."""
         rows, envs, slots = self._pending
         simulator = self.simulator
         agents = simulator.agents[envs, slots]
@@ -154,26 +162,27 @@ class _Recorder:
         for name in ("yaw", "yaw_rate", "yaw_acceleration"):
             rows[name] = direction * cars[name]
         _, turn_rate = road_turning(cars, simulator.parameters.arcs)
-        rows["road_turn_rate"] = direction * turn_rate
+        rows["turning"] = direction * (cars["yaw_rate"] - turn_rate)
         target = agents["target_lane"]
         origin = agents["origin_lane"]
         rows["position"] = cars["position"]
-        rows["is_over_marking"] = (cars["lane_low"] <= target) & (target <= cars["lane_high"])
-        rows["is_in_origin"] = (cars["lane_low"] <= origin) & (origin <= cars["lane_high"])
-        for side, sign in (("leader", 1.0), ("follower", -1.0)):
+        bodies = cars.view(np.recarray)
+        rows["is_over_marking"] = _is_body_in(bodies, target)
+        rows["is_in_origin"] = _is_body_in(bodies, origin)
+        for side, is_ahead in (("leader", True), ("follower", False)):
             for slot, prefix in ((agents[f"target_{side}"], ""), (agents[side], "origin_")):
                 others = simulator.vehicles[envs, slot]
-                rows[f"{prefix}{side}_gap"] = self._gap(envs, cars, slot, sign)
+                rows[f"{prefix}{side}_gap"] = self._gap(envs, cars, slot, is_ahead=is_ahead)
                 rows[f"{prefix}{side}_speed"] = np.where(slot == NONE, np.nan, others["speed"])
             slot = agents[f"target_{side}"]
             others = simulator.vehicles[envs, slot]
             rows[f"{side}_id"] = np.where(slot == NONE, NONE, others["id"])
-            if side == "follower":
+            if not is_ahead:
                 acceleration = np.where(slot == NONE, np.nan, others["acceleration"])
                 rows["follower_acceleration"] = acceleration
         self._note_imposed(rows, envs)
-        for name in ("reward_acceleration", "reward_yaw_rate", "reward_deviation"):
-            rows[name] = agents[name]
+        for name, values in CHANGER.terms_of(agents).items():
+            rows[name] = values
         self.rows.append(rows)
         self.watch.advance()
         self._note_outcomes()
@@ -206,7 +215,7 @@ class _Recorder:
             )
 
     def _note_imposed(self, rows: NDArray[np.void], envs: NDArray[np.int64]) -> None:
-        """By how much changer and follower brake harder than they would without the change."""
+        """How much harder changer and follower brake than without the lane change."""
         for name, slot, without in zip(
             ("changer", "follower"), self._vehicles, self._without, strict=True
         ):
@@ -226,19 +235,20 @@ class _Recorder:
         return bool((is_own & is_new & (records["kind"] == CollisionKind.SIDE)).any())
 
     def _deviation(self, agents: Any, cars: Any, phase: Any) -> NDArray[np.float64]:
-        lane = np.where(phase == Phase.ABORTING, agents["origin_lane"], agents["target_lane"])
-        centre = (lane + 0.5) * self.simulator.scenario.road.lane_width
+        lane = _reference_lane(phase, agents["origin_lane"], agents["target_lane"])
+        centre = _lane_centre(lane, self.simulator.scenario.road.lane_width)
         return np.asarray(agents["direction"] * (centre - cars["lateral_position"]))
 
-    def _gap(self, envs: Any, cars: Any, slot: Any, sign: float) -> NDArray[np.float64]:
-        """Bumper to bumper, to the vehicles ahead (sign 1) or behind (-1); inf where none is."""
+    def _gap(self, envs: Any, cars: Any, slot: Any, *, is_ahead: bool) -> NDArray[np.float64]:
+        """Bumper to bumper, to the vehicles ahead or behind; inf if there is none."""
         others = self.simulator.vehicles[envs, slot]
-        length = self.simulator.scenario.vehicle.length
-        gap = sign * (others["position"] - cars["position"]) - length
+        rear, front = (cars, others) if is_ahead else (others, cars)
+        constants = self.simulator.parameters.constants[0]
+        gap = _bumper_gap(rear.view(np.recarray), front.view(np.recarray), constants)
         return np.where(slot == NONE, np.inf, gap)
 
     def finish(self) -> list[Maneuver]:
-        """The maneuvers in the order of road and command, with their traces."""
+        """The maneuvers ordered by road and command, with their traces."""
         self.watch.finish()
         rows = np.concatenate(self.rows) if self.rows else np.zeros(0, TRACE)
         rows = rows[np.lexsort((rows["step"], rows["command"], rows["env"]))]
@@ -263,23 +273,23 @@ def run_maneuvers(
     follower_policies: Mapping[str, FollowerPolicy] | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[Maneuver]:
-    """The first ``num_maneuvers`` commands of seeded episodes, in the order of road and command.
+    """The first ``num_maneuvers`` commands of seeded episodes, ordered by road and command.
 
-    Every road runs one whole episode of the scenario, so that quick maneuvers are not counted more
-    often than slow ones; commands beyond the number wanted are dropped from the last road.
+    Every road runs one whole episode of the scenario, so quick maneuvers are not counted more
+    often than slow ones. Commands beyond ``num_maneuvers`` are dropped from the last road.
 
     Args:
         scenario: with ``num_agents`` set.
-        policy: of every agent whose action counts: it steers, or waits where actions are (N, 2).
+        policy: for every agent whose action is used: it steers, or waits if actions are (N, 2).
         num_maneuvers: >= 1.
         seed: of the traffic.
-        follower_policies: by disposition, before those that are registered or saved.
-        progress: called after every step with the number of commands finished so far.
+        follower_policies: by disposition; they have priority over registered and saved ones.
+        progress: called after every step with the number of finished commands.
 
     Raises:
-        ScenarioError: its episodes have no end, no commands, or end before the first one; or no
-            policy is known for a disposition of its followers.
-        CheckpointError: that of the learned followers cannot be read or does not fit.
+        ScenarioError: its episodes have no end, no commands, or end before the first command; or a
+            disposition of its followers has no policy.
+        CheckpointError: the checkpoint of the learned followers cannot be read or does not fit.
         ValueError: ``num_maneuvers`` is below 1.
     """
     if num_maneuvers < 1:
@@ -305,16 +315,16 @@ def run_maneuvers(
     maneuvers = recorder.finish()[:num_maneuvers]
     if not maneuvers:
         raise ScenarioError(
-            f"scenario {loaded.name!r}: horizon = {loaded.horizon}: over before the first command"
+            f"scenario {loaded.name!r}: horizon = {loaded.horizon}: ends before the first command"
         )
     return maneuvers
 
 
 def check_episodes(scenario: Scenario) -> int:
-    """The number of commands in an episode, which every evaluation needs.
+    """The number of commands per episode, which every evaluation needs.
 
     Raises:
-        ScenarioError: its episodes have no end, or no commands.
+        ScenarioError: the episodes of the scenario have no end, or no commands.
     """
     if scenario.num_agents is None or scenario.command.probability == 0.0:
         raise ScenarioError(

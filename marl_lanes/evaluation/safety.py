@@ -1,4 +1,4 @@
-"""Surrogate measures of safety of one maneuver; docs/metrics.md gives every formula and source."""
+"""Surrogate safety measures of one maneuver; docs/metrics.md gives every formula and source."""
 
 from dataclasses import dataclass
 from math import inf, nan
@@ -21,21 +21,21 @@ S_CRITICAL_TIME_GAP = 1.0
 RSS_RESPONSE_TIME = 1.0
 """rho [s]."""
 RSS_MAX_ACCELERATION = 3.5
-"""a_max [m/s^2], of the vehicle behind while it has not reacted."""
+"""a_max [m/s^2], largest acceleration of the vehicle behind during the response time."""
 RSS_MIN_BRAKING = 4.0
-"""b_min [m/s^2], of the vehicle behind afterwards, at least."""
+"""b_min [m/s^2], smallest braking of the vehicle behind afterwards."""
 RSS_MAX_BRAKING = 8.0
-"""b_max [m/s^2], of the vehicle ahead, at most."""
+"""b_max [m/s^2], largest braking of the vehicle ahead."""
 
 Columns = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class SafetyMetrics:
-    """What is measured of one maneuver; nan where it is not defined."""
+    """Safety measures of one maneuver; nan if not defined."""
 
     min_time_to_collision: float
-    """The smallest of the next four [s]; inf, like them, where nothing closes."""
+    """The smallest of the next four [s]; all are inf if no gap closes."""
     min_time_to_collision_target_leader: float
     min_time_to_collision_target_follower: float
     min_time_to_collision_origin_leader: float
@@ -56,7 +56,7 @@ class SafetyMetrics:
     is_rss_violated_follower: float
     rss_violation_time: float
     marking_duration: float
-    """R79's lane change maneuver [s]."""
+    """Lane change maneuver as in UN R79 [s]."""
     follower_braking_before_marking: float
     follower_braking_after_marking: float
     changer_braking_before_marking: float
@@ -64,7 +64,7 @@ class SafetyMetrics:
 
 
 class _Pair(NamedTuple):
-    """Two vehicles, one behind the other, in the rows that count."""
+    """Two vehicles, one behind the other, and the rows that count."""
 
     gap: Columns
     rear_speed: Columns
@@ -89,7 +89,7 @@ def measure_safety(trace: NDArray[np.void], scenario: Scenario) -> SafetyMetrics
     is_rss_defined = any(present.any() for _, present in rss.values())
     attempt = trace if entry is None else _attempt(trace, entry)
     at = None if entry is None else int(np.flatnonzero(attempt["step"] == trace["step"][entry])[0])
-    # The step that brings the body over the marking was driven before it.
+    # The step that brings the body over the marking counts as before it.
     last = len(trace) if entry is None else entry + 1
     before, after = slice(0, last), slice(last, None)
     return SafetyMetrics(
@@ -119,18 +119,18 @@ def measure_safety(trace: NDArray[np.void], scenario: Scenario) -> SafetyMetrics
 
 
 def attempts(trace: NDArray[np.void]) -> list[NDArray[np.void]]:
-    """The trace in parts without a pause: the agent waits between two of them."""
+    """The trace split at the pauses, in which the agent waits."""
     return np.split(trace, np.flatnonzero(np.diff(trace["step"]) > 1) + 1)
 
 
 def entry_row(trace: NDArray[np.void]) -> int | None:
-    """Row in which the body of an engaged changer is first in the target lane, if it ever is."""
+    """First row with the body of an engaged changer in the target lane, None if there is none."""
     is_in = trace["is_over_marking"] & (trace["phase"] == Phase.ENGAGED)
     return int(is_in.argmax()) if is_in.any() else None
 
 
 def hardest_braking(acceleration: Columns) -> float:
-    """Largest braking [m/s^2], 0 without any, nan where no value is defined."""
+    """Largest braking [m/s^2], 0 if there is none, nan if no value is defined."""
     braking = -acceleration[np.isfinite(acceleration)]
     return max(0.0, float(braking.max())) if braking.size else nan
 
@@ -149,16 +149,16 @@ def rss_distance(rear_speed: Any, front_speed: Any) -> Any:
 
 
 def _attempt(trace: NDArray[np.void], row: int) -> NDArray[np.void]:
-    """The part without a pause that holds the row."""
+    """The attempt that contains the row."""
     step = trace["step"][row]
     return next(part for part in attempts(trace) if part["step"][-1] >= step)
 
 
 def _pairs(trace: NDArray[np.void]) -> dict[str, _Pair]:
-    """The changer with its neighbors, by lane and side.
+    """The changer with each of its neighbors, by lane and side.
 
-    Those of the target lane count while it is on its way there or in it, those of the origin lane
-    as long as its body is in that one.
+    Neighbors in the target lane count while the changer is engaged or its body is in that lane,
+    neighbors in the origin lane as long as its body is in the origin lane.
     """
     is_toward = (trace["phase"] == Phase.ENGAGED) | trace["is_over_marking"]
     found = {}
@@ -175,15 +175,15 @@ def _pairs(trace: NDArray[np.void]) -> dict[str, _Pair]:
 
 
 def _closing(pair: _Pair) -> tuple[NDArray[np.bool_], Columns, Columns]:
-    """Where the gap closes, and there gap and closing speed."""
+    """The rows in which the gap closes, with gap and closing speed in these rows."""
     closing = pair.rear_speed - pair.front_speed
-    # Side by side in two lanes there is no gap to close.
+    # Two vehicles side by side in two lanes have no positive gap.
     closes = pair.counts & (pair.gap > 0.0) & (closing > 0.0)
     return closes, pair.gap[closes], closing[closes]
 
 
 def _time_to_collision(pair: _Pair) -> Columns:
-    """gap/closing speed in every row [s], inf where it does not close."""
+    """gap/closing speed in every row [s], inf if the gap does not close."""
     closes, gap, closing = _closing(pair)
     times = np.full(closes.shape, inf)
     times[closes] = gap / closing
@@ -191,7 +191,7 @@ def _time_to_collision(pair: _Pair) -> Columns:
 
 
 def _drac(pair: _Pair) -> float:
-    """Largest closing speed^2/(2 gap) [m/s^2], 0 where nothing closes."""
+    """Largest closing speed^2/(2 gap) [m/s^2], 0 if no gap closes."""
     _, gap, closing = _closing(pair)
     return float((closing**2 / (2.0 * gap)).max(initial=0.0))
 
@@ -202,7 +202,7 @@ def _largest(values: Columns) -> float:
 
 
 def _headway(pair: _Pair, entry: int | None, length: float) -> float:
-    """Front to front over the speed of the one behind, at the entry [s]."""
+    """Distance front to front divided by the speed of the rear vehicle, at the entry [s]."""
     if entry is None or not pair.counts[entry] or pair.rear_speed[entry] <= 0.0:
         return nan
     return float((pair.gap[entry] + length) / pair.rear_speed[entry])
@@ -225,7 +225,7 @@ def _is_s_critical_violated(trace: NDArray[np.void], entry: int | None) -> float
 def _is_rss_violated(
     pair: _Pair, trace: NDArray[np.void]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Rows with a smaller gap than RSS asks for, and rows in which the two are in one lane."""
+    """Rows with a gap below the RSS distance, and rows with both vehicles in the target lane."""
     present = pair.counts & trace["is_over_marking"]
     is_near = pair.gap < rss_distance(pair.rear_speed, pair.front_speed)
     return present & is_near, present
@@ -234,9 +234,10 @@ def _is_rss_violated(
 def _time_ahead_of_follower(
     attempt: NDArray[np.void], entry: int | None, length: float, step: float
 ) -> float:
-    """From the entry until the follower's front is where the changer's rear then was [s].
+    """From the entry until the follower's front is where the changer's rear was at the entry [s].
 
-    Where the rows end before, or another vehicle is behind, it goes on at its last speed.
+    If the rows end before that, or another vehicle is then behind, the follower is extrapolated at
+    its last speed.
     """
     if entry is None or not np.isfinite(attempt["follower_gap"][entry]):
         return nan
@@ -250,9 +251,10 @@ def _time_ahead_of_follower(
 def _time_behind_leader(
     attempt: NDArray[np.void], entry: int | None, length: float, step: float
 ) -> float:
-    """From when the leader's rear was where the changer's front is at the entry, until then [s].
+    """From when the leader's rear was where the changer's front is at the entry, until entry [s].
 
-    Where the rows begin after that, or another vehicle was ahead, it came at its first speed.
+    If the rows begin after that, or another vehicle was ahead then, the leader is extrapolated
+    back at its first speed.
     """
     if entry is None or not np.isfinite(attempt["leader_gap"][entry]):
         return nan
@@ -264,13 +266,13 @@ def _time_behind_leader(
 
 
 def _num_equal(values: NDArray[np.int64]) -> int:
-    """How many of the first values are equal."""
+    """How many values at the start are equal to the first one."""
     differs = np.flatnonzero(values != values[0])
     return int(differs[0]) if differs.size else len(values)
 
 
 def _arrival(distance: Columns, speed: Columns, step: float) -> float:
-    """When the distance, one value a time step, reaches 0, at the last speed beyond them [s]."""
+    """When the distance (one value per step) reaches 0, extrapolated at the last speed [s]."""
     arrived = np.flatnonzero(distance <= 0.0)
     if not arrived.size:
         last = len(distance) - 1
@@ -283,7 +285,7 @@ def _arrival(distance: Columns, speed: Columns, step: float) -> float:
 
 
 def _marking_duration(attempt: NDArray[np.void], entry: int | None, step: float) -> float:
-    """From the body's touching the marking until it has left the origin lane [s]."""
+    """From when the body touches the marking until it has left the origin lane [s]."""
     if entry is None:
         return nan
     is_out = ~attempt["is_in_origin"][entry:]

@@ -1,15 +1,16 @@
 """Minimum of a sum of convex functions of linear quantities, each with at most three kinks.
 
-f(a) = sum over the quantities q of w_q |x_q| + P max(0, |x_q| - b_q), x = free + R a, the a_k among
-the quantities. A minimum lies where as many quantities are at a kink (at -b, 0 or b) as there are
-unknowns. From such a vertex, at first a = 0, one quantity leaves its kink along the edge of
-steepest descent, over the kinks of others for as long as f falls; the one at whose kink it stops
-takes its place. It is the dual simplex method with long steps on the dual of the linear program,
-without the program: from a = 0 few exchanges are needed, as most actions of an optimum are 0.
+f(a) = sum over the quantities q of w_q |x_q| + P max(0, |x_q| - b_q), x = free + R a; the a_k are
+also quantities. At a minimum as many quantities are at a kink (at -b, 0 or b) as there are
+unknowns. Each exchange starts from such a vertex, the first one from a = 0. One quantity leaves its
+kink along the edge of steepest descent, and passes the kinks of others as long as f falls. The
+quantity at whose kink it stops takes its place. This is the dual simplex method with long steps,
+applied to the dual of the linear program without building the program. From a = 0 it needs few
+exchanges, because most actions of an optimum are 0.
 
-The tableau is x = x_0 + T t for the quantities off their kinks, t the distance of those at a kink
-from it. Many quantities begin exactly at a kink; tiny shifts of the kinks keep the descent from
-standing still, and the solution is carried along without them.
+The tableau is x = x_0 + T t for the quantities off their kinks; t is the distance of the other
+quantities from their kinks. Many quantities start exactly at a kink, where the descent could stop.
+Tiny shifts of the kinks prevent this; the exact solution is updated without the shifts.
 """
 
 from typing import Any
@@ -22,7 +23,7 @@ from marl_lanes.traffic.machine.compiled import compiled
 FloatArray = npt.NDArray[np.float64]
 
 PENALTY = 1e4
-"""P, for each unit beyond a bound; more than a bound is ever worth where it can be kept."""
+"""P, per unit beyond a bound; larger than any gain from leaving a bound that can be kept."""
 
 _SHIFT = 1e-9
 _MIN_PIVOT = 1e-9
@@ -31,7 +32,7 @@ _MIN_DESCENT = 1e-9
 
 @compiled
 def _next_kink(x: float, way: float, weight: float, bound: float) -> float:
-    """The first kink strictly ahead of x in the direction ``way``, or infinity in it."""
+    """The first kink strictly ahead of x in the direction ``way``, or infinity (with its sign)."""
     if way > 0.0:
         if x < -bound:
             return -bound
@@ -47,7 +48,7 @@ def _next_kink(x: float, way: float, weight: float, bound: float) -> float:
 
 @compiled
 def _slope(x: float, side: float, weight: float, bound: float) -> float:
-    """Derivative of w |x| + P max(0, |x| - b), of a kink that on the given side."""
+    """Derivative of w |x| + P max(0, |x| - b); at a kink the one on the given side."""
     slope = 0.0
     if x > 0.0 or (x == 0.0 and side > 0.0):
         slope += weight
@@ -72,7 +73,7 @@ def _edge(
     gradient: Any,
     norms: Any,
 ) -> tuple[int, float, float]:
-    """The column of steepest descent or -1, its direction, and the derivative of f along it."""
+    """The column of steepest descent (-1 for none), its direction, and the derivative of f."""
     m, n = tableau.shape
     for j in range(n):
         gradient[j] = 0.0
@@ -109,10 +110,10 @@ def _stop(
     way: float,
     rate: float,
 ) -> tuple[int, float]:
-    """Where f no longer falls along the edge: whose kink it is, and which one.
+    """The kink after which f no longer falls along the edge.
 
     Returns:
-        The row, -1 for the column's own quantity, -2 where f falls for ever; the kink.
+        Its row (-1 for the column's own quantity, -2 if f falls without end), and the kink.
     """
     for i in range(tableau.shape[0]):
         speed = way * tableau[i, best]
@@ -137,7 +138,7 @@ def _stop(
         if leaving < 0:
             return leaving, 0.0
         speed, r = way * tableau[leaving, best], rows[leaving]
-        # Which of its kinks it is: rounding must not miss it.
+        # Select the nearest of its kinks, so that rounding does not matter.
         reached = shifted[leaving] + speed * distance
         kink = 0.0
         if abs(abs(reached) - bounds[r]) < abs(reached):
@@ -151,7 +152,7 @@ def _stop(
 
 @compiled
 def _exchange(tableau: Any, pivots: Any, leaving: int, best: int) -> None:
-    """The row ``leaving`` and the column ``best`` change places; ``pivots`` (n,) is work."""
+    """Exchange the row ``leaving`` and the column ``best``; ``pivots`` (n,) is working memory."""
     inverse = 1.0 / tableau[leaving, best]
     for j in range(tableau.shape[1]):
         pivots[j] = tableau[leaving, j] * inverse
@@ -182,24 +183,24 @@ def descend(
     ahead: Any,
     max_exchanges: int,
 ) -> int:
-    """Exchange until no edge descends.
+    """Exchange until f falls along no edge.
 
     Args:
         tableau: (m, n) T, overwritten.
         shifted: (m,) values of the quantities off their kinks, with the kinks shifted.
         exact: (m,) the same without the shifts.
-        rows: (m,) int64, which quantity each row is.
-        columns: (n,) int64, which quantity each column is.
-        kinks: (n,) at which of its kinks a column is.
+        rows: (m,) int64, quantity of each row.
+        columns: (n,) int64, quantity of each column.
+        kinks: (n,) present kink of each column.
         weights: (m + n,) w by quantity.
         bounds: (m + n,) b by quantity, infinite for none.
-        gradient: (n,) work.
-        norms: (n,) work.
-        ahead: (m,) work.
+        gradient: (n,) working memory.
+        norms: (n,) working memory.
+        ahead: (m,) working memory.
         max_exchanges: > 0.
 
     Returns:
-        The number of exchanges; max_exchanges where they were not enough.
+        The number of exchanges; max_exchanges if they were not enough.
     """
     for count in range(max_exchanges):
         best, way, rate = _edge(
@@ -234,22 +235,22 @@ def minimise(
     weights: FloatArray,
     bounds: FloatArray,
 ) -> FloatArray:
-    """The a of least f.
+    """The a with the smallest f.
 
     Args:
-        free: (m,) of the quantities that are not actions, at a = 0.
-        response: (m, n) of them by the actions.
-        weights: (n + m,) w of the actions, then of the others, >= 0.
-        bounds: (n + m,) b in that order, > 0, infinite for none.
+        free: (m,) values at a = 0 of the quantities that are not actions.
+        response: (m, n) their derivatives by the actions.
+        weights: (n + m,) w of the actions, then of the other quantities, >= 0.
+        bounds: (n + m,) b in the same order, > 0, infinite for none.
 
     Returns:
         (n,) float64.
 
     Raises:
-        RuntimeError: too many exchanges.
+        RuntimeError: the limit of exchanges is reached.
     """
     m, n = response.shape
-    # Irrational steps: no two sums of shifts are equal.
+    # Irrational steps, so that no two sums of shifts are equal.
     shifts = _SHIFT * (0.5 + np.modf(np.arange(1, m + n + 1) * 0.6180339887498949)[0])
     shifted = free + shifts[n:] - response @ shifts[:n]
     exact = free.copy()

@@ -50,7 +50,7 @@ _NOT_DEFINED = "-"
 def format_estimate(
     estimate: Mapping[str, float | None], factor: float = 1.0, decimals: int = 2
 ) -> str:
-    """``value [low, high]``; the value alone where there is no interval, a dash without one."""
+    """``value [low, high]``; without an interval only the value, without a value a dash."""
     value, low, high = (estimate[name] for name in ("value", "low", "high"))
     if value is None:
         return _NOT_DEFINED
@@ -61,19 +61,19 @@ def format_estimate(
 
 
 def format_summary(summary: Mapping[str, Any]) -> str:
-    """A line for every key and value.
+    """One line per key and value.
 
     Args:
-        summary: of ``evaluate``, with whatever else is to be shown.
+        summary: of ``evaluate``, with any other entries to show.
 
     Raises:
-        ValueError: it shows a cost or a completion rate, and no success rate beside it.
+        ValueError: it has a cost ratio or a completion rate, but no success rate.
     """
     told = [key for key in ("cost_ratio", "completion_rate") if summary.get(key) is not None]
     if told and summary.get("success_rate") is None:
         raise ValueError(
-            f"success_rate = None: must be given where {' and '.join(told)} is shown, which say "
-            "nothing of what became of the vehicles"
+            f"success_rate = None: must be given together with {' and '.join(told)}, because only "
+            "the success rate covers the time after completion"
         )
     width = max(map(len, summary), default=0)
     return "\n".join(
@@ -83,7 +83,7 @@ def format_summary(summary: Mapping[str, Any]) -> str:
 
 
 def format_crossplay(result: Mapping[str, Any]) -> str:
-    """A row for every statistic and changer, a column for every kind of follower.
+    """One row per statistic and changer, one column per kind of follower.
 
     Args:
         result: of ``crossplay``.
@@ -99,14 +99,14 @@ def format_crossplay(result: Mapping[str, Any]) -> str:
             rows.append(["" if number else title, changer, *values])
     scenarios = ", ".join(dict.fromkeys(result["changers"].values()))
     intro = (
-        f"scenario {scenarios}; {result['num_maneuvers']} maneuvers a pair, seed "
+        f"scenario {scenarios}; {result['num_maneuvers']} maneuvers per pair, seed "
         f"{result['seed']}; value [{100.0 * result['confidence']:g} % interval]"
     )
     return intro + "\n\n" + format_table(["", "changer", *result["followers"]], rows, 2)
 
 
 def format_gaps(result: Mapping[str, Any]) -> str:
-    """A row for every kind of follower.
+    """One row per kind of follower.
 
     Args:
         result: of ``compare_followers``.
@@ -122,10 +122,10 @@ def format_gaps(result: Mapping[str, Any]) -> str:
         for label, found in result["followers"].items()
     ]
     intro = (
-        f"scenario {result['scenario']}; {result['num_maneuvers']} maneuvers under each kind, seed "
+        f"scenario {result['scenario']}; {result['num_maneuvers']} maneuvers with each kind, seed "
         f"{result['seed']}; shown: maneuver {result['maneuver']}\n"
-        f"{result['num_compared']} engagements are the same under every kind, with the follower "
-        f"nearer than {result['near_gap']:g} m; {result['num_entered']} enter the lane under every "
+        f"{result['num_compared']} engagements are the same with every kind, with the follower "
+        f"nearer than {result['near_gap']:g} m; {result['num_entered']} enter the lane with every "
         "kind\n"
         f"mean [{100.0 * result['confidence']:g} % interval]"
     )
@@ -136,12 +136,12 @@ def format_gaps(result: Mapping[str, Any]) -> str:
 
 
 def format_table(head: Sequence[str], rows: Sequence[Sequence[str]], num_labels: int) -> str:
-    """Aligned columns, in as many blocks below each other as the terminal's width asks for.
+    """Aligned columns, in several blocks if they are wider than the terminal.
 
     Args:
         head: titles of the columns.
         rows: each as long as ``head``.
-        num_labels: first columns, which every block repeats.
+        num_labels: number of first columns, which every block repeats.
     """
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     labels = list(range(num_labels))

@@ -4,12 +4,14 @@ import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tensordict.nn import TensorDictModule
 
+from marl_lanes.naf.layers import ActionBox
 from marl_lanes.naf.network import NAFNetwork
 
 FORMAT = "marl-lanes NAF policy 4"
@@ -20,22 +22,60 @@ class CheckpointError(ValueError):
     """A file that is not a checkpoint, or does not fit the scenario."""
 
 
+class PolicyNetwork(Protocol):
+    """What a network needs to be saved, and to drive; an ``nn.Module``."""
+
+    features: list[str]
+    box: ActionBox
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Constructor arguments in plain Python types, ``action_low`` and ``_high`` among them."""
+
+    def policy(self) -> TensorDictModule:
+        """The greedy policy; its ``module`` maps observations (N, F) to actions (N, D)."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """The weights."""
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> object:
+        """Take the weights."""
+
+    def to(self, device: torch.device) -> Self:
+        """Itself, moved."""
+
+
+Network = TypeVar("Network", bound=PolicyNetwork, covariant=True)
+
+
 @dataclass(frozen=True)
-class Checkpoint:
+class Checkpoint(Generic[Network]):
     """A policy as it was saved."""
 
-    network: NAFNetwork
+    network: Network
     scenario: str
     """Name of the scenario that it was trained on."""
     transitions: int
     """Transitions that it has learned from."""
 
 
-def read_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint without running any code from it.
+def read_checkpoint(path: Path) -> Checkpoint[NAFNetwork]:
+    """Read a checkpoint of NAF without running any code from it.
 
     Raises:
-        CheckpointError: not readable, or not a checkpoint.
+        CheckpointError: not readable, or not a checkpoint of NAF.
+    """
+    content = read_content(path)
+    if content.get("format") != FORMAT:
+        raise CheckpointError(f"checkpoint {path}: not a checkpoint of the form {FORMAT!r}")
+    return build_checkpoint(path, content, NAFNetwork)
+
+
+def read_content(path: Path) -> dict[str, Any]:
+    """What a checkpoint of any form holds, read without running any code from it.
+
+    Raises:
+        CheckpointError: not readable. What holds no mapping is read as an empty one.
     """
     try:
         content: Any = torch.load(path, map_location="cpu", weights_only=True)
@@ -44,10 +84,24 @@ def read_checkpoint(path: Path) -> Checkpoint:
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise CheckpointError(f"checkpoint {path}: not a checkpoint: {reason}") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise CheckpointError(f"checkpoint {path}: not a checkpoint of the form {FORMAT!r}")
+    return content if isinstance(content, dict) else {}
+
+
+def build_checkpoint(
+    path: Path, content: dict[str, Any], kind: Callable[..., Network]
+) -> Checkpoint[Network]:
+    """A policy from its file's content.
+
+    Args:
+        path: of the file.
+        content: of the file, whose ``format`` is that of the kind.
+        kind: the network's class.
+
+    Raises:
+        CheckpointError: a part is missing, or the parts do not fit each other.
+    """
     try:
-        network = NAFNetwork(**content["config"])
+        network = kind(**content["config"])
         network.load_state_dict(content["weights"])
         return Checkpoint(network, str(content["scenario"]), int(content["transitions"]))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
@@ -55,7 +109,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         raise CheckpointError(f"checkpoint {path}: inconsistent: {reason}") from None
 
 
-def greedy_policy(network: NAFNetwork) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
+def greedy_policy(network: PolicyNetwork) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
     """The network's greedy action as a function of arrays, (N, F) to (N, D)."""
     module = network.policy().module
 

@@ -12,8 +12,10 @@ def join(tensors: Sequence[Tensor]) -> Tensor:
     They stay the objects that they are, for whoever holds them. Move them to their device before.
     """
     whole = torch.cat([tensor.detach().flatten() for tensor in tensors])
-    for tensor, part in zip(tensors, _split(whole, tensors), strict=True):
-        tensor.data = part
+    with torch.no_grad():
+        for tensor, part in zip(tensors, _split(whole, tensors), strict=True):
+            place = part.storage_offset(), part.size(), part.stride()
+            tensor.set_(whole.untyped_storage(), *place)
     return whole
 
 

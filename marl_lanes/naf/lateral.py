@@ -1,7 +1,7 @@
 """The structures of mu for one action, the yaw acceleration [rad/s^2].
 
-In the maneuver frame the lateral deviation is reference minus position, positive at the start; yaw
-and yaw rate are positive toward the target, so that d(deviation)/dt = -speed sin(yaw).
+In the maneuver frame the lateral deviation is reference minus position, positive at the start. Yaw
+and yaw rate are positive toward the target, so d(deviation)/dt = -speed sin(yaw).
 """
 
 from collections.abc import Sequence
@@ -15,15 +15,15 @@ from torch.nn.functional import softplus
 from marl_lanes.naf.layers import ActionBox, Heads
 from marl_lanes.naf.structure import Mu
 
-# The share of the action bound below which a_max does not fall: a_max is a divisor.
+# a_max is at least this share of the action bound, because it is a divisor.
 A_MAX_FLOOR = 0.01
 
 LEAST_THRESHOLD = 1e-6
-"""[rad/s^2] Added to the threshold where it divides."""
+"""[rad/s^2] Added to the threshold when it is a divisor."""
 
 
 class _YawAcceleration(Mu):
-    """A formula for one action, a yaw acceleration about zero, with a learned limit a_max."""
+    """A formula for the yaw acceleration, with a learned limit a_max; the bounds include zero."""
 
     initial_a_max: float
 
@@ -32,12 +32,12 @@ class _YawAcceleration(Mu):
         self.bound = min(-box.low.item(), box.high.item())
         if self.bound <= 0:
             raise ValueError(
-                f"mu {name!r} needs a yaw acceleration's bounds with zero inside, got "
+                f"mu {name!r} needs bounds of the yaw acceleration with zero inside, got "
                 f"[{box.low.item():g}, {box.high.item():g}]"
             )
 
     def initial_limit_logit(self, floor: float = A_MAX_FLOOR) -> float:
-        """What `limit` maps to the initial a_max."""
+        """The logit that `limit` maps to the initial a_max."""
         share = min(self.initial_a_max / self.bound, 0.9)
         return _logit(max((share - floor) / (1 - floor), A_MAX_FLOOR))
 
@@ -50,14 +50,18 @@ class PaperMu(_YawAcceleration):
     """a = a_max tanh(beta (deviation / T^2 - speed yaw / T)).
 
     Three networks give a_max, the sensitivity beta > 0 [s^2/m] and the transition time
-    T > 1.5 s, initially 0.25 rad/s^2, 0.31 and 3.4 s. It has no yaw-rate term: it turns a vehicle
-    into the target lane, but with constant gains it cannot settle there.
+    T > 1.5 s, initially 0.25 rad/s^2, 0.31 and 3.4 s. It has no yaw-rate term: it steers a vehicle
+    into the target lane, but with constant gains the vehicle cannot settle there.
 
     Source: Eq. 6 and Eq. 7; the sign of the yaw term follows the module's frame.
     """
 
     needs = ("speed", "lateral_deviation", "yaw")
     initial_a_max = 0.25
+    initial_sensitivity = 0.31
+    """beta [s^2/m]."""
+    initial_time = 3.4
+    """T [s]."""
     min_time = 1.5
 
     def __init__(
@@ -66,10 +70,10 @@ class PaperMu(_YawAcceleration):
         super().__init__(name, features, box)
         initial = (
             self.initial_limit_logit(),
-            _inverse_softplus(0.31),
-            _inverse_softplus(3.4 - self.min_time),
+            _inverse_softplus(self.initial_sensitivity),
+            _inverse_softplus(self.initial_time - self.min_time),
         )
-        # The three networks of a_max, beta and T, one output each.
+        # Three networks, for a_max, beta and T, with one output each.
         self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
 
     def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
@@ -78,7 +82,7 @@ class PaperMu(_YawAcceleration):
         limit, beta, time = self.heads(normalised).split(1, dim=-1)
         beta = softplus(beta)
         time = self.min_time + softplus(time)
-        # One factor 1/T taken out, so that a huge T does not overflow its square.
+        # Divided by T twice, so that the square of a large T does not overflow.
         demand = (deviation / time - speed * yaw) / time
         return self.limit(limit) * torch.tanh(beta * demand)
 
@@ -86,14 +90,14 @@ class PaperMu(_YawAcceleration):
 class DampedMu(_YawAcceleration):
     """a = a_max tanh(u / a_max), u = k0 deviation / speed - k1 yaw - k2 relative_yaw_rate.
 
-    relative_yaw_rate is yaw_rate - curvature speed; the speed that divides is 1 m/s or more. The
+    relative_yaw_rate is yaw_rate - curvature speed; as a divisor, speed is 1 m/s or more. The
     gains k0 = p1 p2 p3, k1 = p1 p2 + p1 p3 + p2 p3, k2 = p1 + p2 + p3 place the poles of the
-    linear loop at -p1, -p2, -p3, each in [1.0, 2.4] rad/s: it settles whatever is learned.
+    linear loop at -p1, -p2, -p3, each in [1.0, 2.4] rad/s, so the loop settles for all parameters.
     Four networks give the poles, initially 1.4 rad/s each, and a_max, initially 0.17 rad/s^2.
 
-    A change that is turned back must end before the road's edge, whatever is learned: a_max is
-    never below 0.03 k0 + 0.01 bound, for a loop that saturates longer swings out; and beyond the
-    reference lane's centre poles and a_max rise to their upper ends, linearly over 1 m.
+    With all parameters an aborted change must end before the road's edge. So a_max is at least
+    0.03 k0 + 0.01 bound, because a loop that saturates longer overshoots. Beyond the reference
+    lane's centre the poles and a_max rise to their upper bounds, linearly over 1 m.
     """
 
     needs = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
@@ -108,7 +112,7 @@ class DampedMu(_YawAcceleration):
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
         super().__init__(name, features, box)
-        # Networks of a_max and of each pole.
+        # Four networks, for a_max and each pole.
         floor = min(self.limit_floor(torch.tensor(self.initial_pole**3)).item(), 0.9)
         span = self.fastest_pole - self.slowest_pole
         pole = _logit((self.initial_pole - self.slowest_pole) / span)
@@ -116,7 +120,7 @@ class DampedMu(_YawAcceleration):
         self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
 
     def limit_floor(self, gain: Tensor) -> Tensor:
-        """The least a_max for k0 = `gain`, as a share of the bound."""
+        """The smallest a_max for k0 = `gain`, as a share of the bound."""
         return (A_MAX_FLOOR + self.linear_angle * gain / self.bound).clamp(max=1.0)
 
     def forward(self, observation: Tensor, normalised: Tensor) -> Tensor:
@@ -148,21 +152,21 @@ class CascadeGains(NamedTuple, Generic[Gain]):
     limit: Gain
     """a_max, the largest yaw acceleration [rad/s^2]."""
     time: Gain
-    """T, in which the outer loop moves [s]."""
+    """T, time constant of the outer loop [s]."""
     lateral_limit: Gain
-    """a_top, the largest lateral acceleration that it asks for [m/s^2]."""
+    """a_top, the largest lateral acceleration of the outer loop [m/s^2]."""
     lag: Gain
-    """tau, in which the inner loop turns [s]."""
+    """tau, time constant of the inner loop [s]."""
     damping: Gain
-    """zeta of the outer loop [1]."""
+    """zeta, damping of the outer loop [1]."""
     threshold: Gain
-    """Yaw acceleration below which the answer is exactly 0 [rad/s^2]."""
+    """Below this yaw acceleration the output is exactly 0 [rad/s^2]."""
 
 
 TUNED_CASCADE = CascadeGains(
     limit=0.5, time=1.38, lateral_limit=0.58, lag=0.10, damping=0.775, threshold=0.031
 )
-"""Found by a cross-entropy search; agents/cascade/tune.py searches around them."""
+"""Found by a cross-entropy search; agents/cascade/tune.py starts its search from them."""
 
 
 def steer_by_cascade(
@@ -174,25 +178,25 @@ def steer_by_cascade(
 ) -> tuple[Tensor, Tensor]:
     """a_max tanh(S((w_ref - w) / tau) / a_max), w_ref = (a_top / v) tanh(a_tmp / a_top).
 
-    a_tmp = deviation / T^2 - 2 zeta v yaw / T is Eq. 7's with its unit taken at its word, a lateral
-    acceleration; the inner loop turns the vehicle at the yaw rate w_ref that gives it. The soft
-    threshold S(x) = sign(x) max(|x| - threshold, 0) answers exactly 0 where little is to be gained:
-    the cost |a| has a kink there.
+    a_tmp = deviation / T^2 - 2 zeta v yaw / T follows Eq. 7 and is used as what its unit says, a
+    lateral acceleration. The inner loop controls the yaw rate w_ref that produces it. The soft
+    threshold S(x) = sign(x) max(|x| - threshold, 0) is exactly 0 where an action gains little,
+    because the cost |a| has a kink at 0.
 
     Args:
-        speed: v, 1 m/s where it is lower, (..., 1) [m/s].
+        speed: v, (..., 1) [m/s]; a lower speed than 1 m/s counts as 1 m/s.
         deviation: reference minus position, (..., 1) [m].
         yaw: relative to the road, (..., 1) [rad].
-        relative_yaw_rate: w, beyond the road's own turning, (..., 1) [rad/s].
+        relative_yaw_rate: w, yaw rate minus the road's turning, (..., 1) [rad/s].
         gains: numbers, or (..., 1) each.
 
     Returns:
-        yaw acceleration, (..., 1), within a_max [rad/s^2]; and what S is given as a share of the
-        threshold, (..., 1), within [-1, 1].
+        yaw acceleration, (..., 1), within a_max [rad/s^2]; and the input of S as a share of the
+        threshold, (..., 1), clipped to [-1, 1].
     """
     limit, time, lateral_limit, lag, damping, threshold = gains
     speed = speed.clamp(min=1.0)
-    # One factor 1/T taken out, so that a huge T does not overflow its square.
+    # Divided by T twice, so that the square of a large T does not overflow.
     wanted = (deviation / time - 2.0 * damping * speed * yaw) / time
     reference = lateral_limit * torch.tanh(wanted / lateral_limit) / speed
     demand = (reference - relative_yaw_rate) / lag
@@ -204,12 +208,12 @@ def steer_by_cascade(
 class CascadeMu(_YawAcceleration):
     """`steer_by_cascade` with gains from six networks, initially TUNED_CASCADE, a_max 0.9 bound.
 
-    Each gain keeps to its range. Whatever is learned, the vehicle ends within 0.3 m of the centre,
-    and one that is turned back at the marking stays on the road. At first it may swing past the
-    centre, by up to 2.2 m: over the edge, where the lane is the road's last. The lag is shorter
-    than 2 zeta T, above which the linear loop is unstable. a_top is at most what UN R79 allows,
-    1 m/s^2. What the threshold holds back is at most the turn for 0.2 m of deviation, and 0.3 of
-    the largest turn.
+    Each gain stays in its range. With all parameters the vehicle ends within 0.3 m of the centre,
+    and a vehicle that aborts at the marking stays on the road. Before it settles it may overshoot
+    the centre by up to 2.2 m; in an outer lane this is over the road's edge. The lag is shorter
+    than 2 zeta T, above which the linear loop is unstable. a_top is at most 1 m/s^2, the limit of
+    UN R79. The threshold suppresses at most the yaw rate for 0.2 m of deviation, and at most 0.3
+    of the largest yaw rate.
     """
 
     needs = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
@@ -265,7 +269,7 @@ class CascadeMu(_YawAcceleration):
         return self.act(observation, normalised)[0]
 
     def act(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
-        """The greedy yaw acceleration [rad/s^2], and the slope of the cost |a| there."""
+        """The greedy yaw acceleration [rad/s^2], and the slope of the cost |a| at it."""
         speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
         gains = self.gains(speed, normalised)
         return steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, gains)

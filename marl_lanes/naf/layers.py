@@ -1,12 +1,13 @@
 """What the networks of V, M and mu are made of: the box of actions, and tanh networks."""
 
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
+
+from marl_lanes.naf.torch_internals import tensors_by_name
 
 
 class ActionBox(nn.Module):
@@ -35,28 +36,11 @@ class ActionBox(nn.Module):
             raise ValueError(f"need finite action_low < action_high, got {low} and {high}")
         self.register_buffer("low", lower)
         self.register_buffer("high", upper)
-        self._half_range: tuple[tuple[Tensor, int, Tensor, int], Tensor] | None = None
 
     @property
     def half_range(self) -> Tensor:
-        """(high - low) / 2, (action_dim,), in action units. Not to be changed in place."""
-        low, high = self.low, self.high
-        if torch.compiler.is_compiling() or low.is_inference() or high.is_inference():
-            return (high - low) / 2
-        # Kept for as long as the bounds are the same tensors, unchanged. A buffer would be one
-        # more entry of state dicts: a loss writes those of its parameters with all their buffers.
-        if self._half_range is not None:
-            (old_low, low_version, old_high, high_version), value = self._half_range
-            if (
-                low is old_low
-                and high is old_high
-                and low._version == low_version
-                and high._version == high_version
-            ):
-                return value
-        value = (high - low) / 2
-        self._half_range = (low, low._version, high, high._version), value
-        return value
+        """(high - low) / 2, (action_dim,), in action units."""
+        return (self.high - self.low) / 2
 
     @property
     def centre(self) -> Tensor:
@@ -96,6 +80,7 @@ class Heads(nn.Module):
         widths = [in_features, *hidden_sizes, len(self.initial[0])]
         self.num_layers = len(widths) - 1
         self.names = [(f"weight_{layer}", f"bias_{layer}") for layer in range(self.num_layers)]
+        self.flat_names = list(itertools.chain.from_iterable(self.names))
         for names, (fan_in, fan_out) in zip(self.names, itertools.pairwise(widths), strict=True):
             shapes: Sequence[tuple[int, ...]] = ((fan_in, fan_out), (fan_out,))
             if len(initial) > 1:
@@ -103,13 +88,6 @@ class Heads(nn.Module):
             for name, shape in zip(names, shapes, strict=True):
                 self.register_parameter(name, nn.Parameter(torch.empty(shape)))
         self.reset_parameters()
-
-    def _values(self) -> Mapping[str, Tensor]:
-        """Weights and biases by name."""
-        if len(self._parameters) == 2 * self.num_layers:
-            return self._parameters  # type: ignore[return-value]
-        # Tensors that are no parameters have taken their place (TensorDict.to_module).
-        return {name: getattr(self, name) for names in self.names for name in names}
 
     def layer(self, index: int) -> tuple[Tensor, Tensor]:
         """Weight and bias of a layer."""
@@ -140,7 +118,7 @@ class Heads(nn.Module):
             params: weights and biases to use instead of its own, by their names here.
         """
         # A plain dict: look-ups in a tensordict take a good part of what the layers take.
-        values = self._values() if params is None else dict(params.items())
+        values = tensors_by_name(self, self.flat_names) if params is None else dict(params.items())
         rows = observation
         if observation.ndim != 2:
             rows = observation.flatten(end_dim=-2) if observation.ndim > 1 else observation[None]
@@ -158,13 +136,3 @@ class Heads(nn.Module):
         if observation.ndim == 2:
             return hidden
         return hidden.reshape(*observation.shape[:-1], hidden.shape[-1])
-
-    def _load_from_state_dict(
-        self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any
-    ) -> None:
-        # Checkpoints from before single networks had matrices of their own: stacks of one.
-        for name, value in self._parameters.items():
-            stored = state_dict.get(prefix + name)
-            if stored is not None and value is not None and stored.numel() == value.numel():
-                state_dict[prefix + name] = stored.reshape(value.shape)
-        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)

@@ -1,9 +1,7 @@
 """The temporal-difference loss of normalized advantage functions."""
 
-import operator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any, Self
 
 import torch
@@ -13,7 +11,6 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import (
-    _GAMMA_LMBDA_DEPREC_ERROR,
     ValueEstimators,
     dispatch_value_estimator,
     distance_loss,
@@ -21,6 +18,7 @@ from torchrl.objectives.utils import (
 from torchrl.objectives.value import TD0Estimator
 
 from marl_lanes.naf.network import NAFNetwork
+from marl_lanes.naf.torch_internals import TensorsOf
 
 
 class NAFLoss(LossModule):
@@ -145,12 +143,12 @@ class NAFLoss(LossModule):
         use_prioritized_weights: str | bool = "auto",
     ) -> None:
         if gamma is not None:
-            raise TypeError(_GAMMA_LMBDA_DEPREC_ERROR)
+            raise TypeError(f"gamma = {gamma}: must be given to make_value_estimator(gamma=...)")
         if not isinstance(value_network, NAFNetwork):
             raise TypeError(f"value_network must be a NAFNetwork, got {type(value_network)}")
         super().__init__()
         self._in_keys: list[NestedKey] | None = None
-        self._owners: tuple[list[dict[str, Any]], list[dict[str, Any]]] | None = None
+        self._network_tensors: TensorsOf | None = None
         self.use_prioritized_weights = use_prioritized_weights
         self.delay_value = delay_value
         self.loss_function = loss_function
@@ -240,16 +238,9 @@ class NAFLoss(LossModule):
         """
         params = self.value_network_params
         if not torch.compiler.is_compiling():
-            if self._owners is None:
-                modules = list(self.value_network.modules())
-                self._owners = [m._parameters for m in modules], [m._buffers for m in modules]
-            parameters, buffers = (
-                chain.from_iterable(map(dict.values, owners)) for owners in self._owners
-            )
-            # A TensorDictParams has aliases of the buffers.
-            if all(map(operator.is_, params._parameters.values(), parameters)) and all(
-                map(_is_same_memory, params._buffers.values(), buffers)
-            ):
+            if self._network_tensors is None:
+                self._network_tensors = TensorsOf(self.value_network)
+            if _are_same(TensorsOf(params), self._network_tensors):
                 return nullcontext()
         context: AbstractContextManager[Any] = params.to_module(
             self.value_network, preserve_module_state=False
@@ -300,5 +291,15 @@ class NAFLoss(LossModule):
         return sorted(keys, key=str)
 
 
-def _is_same_memory(one: Tensor, other: Tensor | None) -> bool:
-    return other is not None and one.data_ptr() == other.data_ptr() and one.dtype == other.dtype
+def _are_same(one: TensorsOf, other: TensorsOf) -> bool:
+    """Whether both have the same parameters, and buffers in the same memory."""
+    if [*map(id, one.parameters)] != [*map(id, other.parameters)]:
+        return False
+    # A TensorDictParams has aliases of the buffers, and one for each name.
+    return [*dict.fromkeys(map(_memory, one.buffers))] == [
+        *dict.fromkeys(map(_memory, other.buffers))
+    ]
+
+
+def _memory(tensor: Tensor) -> tuple[int, torch.dtype]:
+    return tensor.data_ptr(), tensor.dtype

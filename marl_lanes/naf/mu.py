@@ -1,10 +1,10 @@
 """The greedy action mu(s) of the quadratic Q-function: its structures by name.
 
-Every mu maps the raw observation, for the columns of its formula, and the normalised one, for its
-networks, to an action inside the box. In the maneuver frame the lateral deviation is reference
-minus position, positive at the start; yaw and yaw rate are positive toward the target, so that
-d(deviation)/dt = -speed sin(yaw). The first action is the yaw acceleration [rad/s^2], a second one
-the longitudinal acceleration [m/s^2].
+Every mu maps the raw observation (used by its formula) and the normalized observation (used by its
+networks) to an action inside the box. In the maneuver frame the lateral deviation is reference
+minus position, positive at the start. Yaw and yaw rate are positive toward the target, so
+d(deviation)/dt = -speed sin(yaw). The first action is the yaw acceleration [rad/s^2], the second
+one, if there is one, the longitudinal acceleration [m/s^2].
 """
 
 from collections.abc import Callable, Sequence
@@ -39,9 +39,9 @@ class CarFollowingMu(Mu):
     a = p + tanh(x) (min(p + B, high) - p) where x > 0, p + tanh(x) (p - max(p - B, low)) elsewhere.
 
     p is the observed car_following_acceleration clipped to [low, high], x a network, about 0
-    initially, B = CORRECTION. No correction stops a car that has a free road: car following speeds
-    up by more than B before. With p on a bound the correction has no effect, and no gradient,
-    toward that side.
+    initially, B = CORRECTION. No correction can stop a vehicle on a free road, because car
+    following accelerates by more than B at low speed. If p is at a bound, the correction toward
+    that side has no effect and no gradient.
     """
 
     CORRECTION = 1.0
@@ -60,7 +60,7 @@ class CarFollowingMu(Mu):
         """The greedy longitudinal acceleration, (..., 1) [m/s^2]."""
         prior = self.box(*self.read(observation))
         share = torch.tanh(self.correction(normalised))
-        # Interpolations, and not the sums of the formula: rounding does not take them out.
+        # Interpolation instead of the sums of the formula: rounding cannot leave the bounds.
         faster = torch.lerp(prior, self.box(prior + self.CORRECTION), share)
         slower = torch.lerp(prior, self.box(prior - self.CORRECTION), -share)
         return torch.where(share > 0, faster, slower)
@@ -74,9 +74,9 @@ LONGITUDINAL: dict[str, Make] = {"idm": CarFollowingMu, "mlp": MLPMu}
 
 
 class ComposedMu(Mu):
-    """a = (lateral(s), longitudinal(s)), two structures with networks and bounds of their own.
+    """a = (lateral(s), longitudinal(s)), two structures, each with its own networks and bounds.
 
-    Its name, "LATERAL+LONGITUDINAL", says which; the box has the yaw acceleration first.
+    Its name "LATERAL+LONGITUDINAL" names both; the box has the yaw acceleration first.
     """
 
     def __init__(

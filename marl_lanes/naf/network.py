@@ -23,35 +23,36 @@ INITIAL_LOG_DIAGONAL = 0.5
 class NAFNetwork(TensorDictModuleBase):
     """Q(s, a) = (mu(s) - a)^T M(s) (mu(s) - a) - D(a, mu(s)) + V(s), M = -L L^T negative definite.
 
-    D = sum_i c_i (|a_i| - |mu_i| - g_i (a_i - mu_i)), g a slope of |a| at mu, is how far the cost
-    c_i |a_i| that the reward charges for an action lies above its tangent at mu: 0 there, nowhere
-    negative, so that the maximum of Q is V at a = mu with it as without it. Without it (c = 0, Eq.
-    5) a parabola has to stand for the kink of |a|: under noise its top lies too low where mu is 0.
+    D = sum_i c_i (|a_i| - |mu_i| - g_i (a_i - mu_i)), g a slope of |a| at mu, is the part of the
+    reward's cost c_i |a_i| of an action that lies above its tangent at mu. D is 0 at mu and never
+    negative, so the maximum of Q is V at a = mu, with D and without it. Without D (c = 0, Eq. 5)
+    a parabola approximates the kink of |a|: with noise its maximum is too low where mu is 0.
 
     L is lower triangular with an exponential diagonal. M acts on actions in units of the box's
     half-range and is therefore unit-free. Three separate (groups of) tanh networks give mu, L's
-    entries and V, each from the normalised observation.
+    entries and V, each from the normalized observation.
 
     `forward` writes
 
     * the greedy action, mu clipped to the box, (..., action_dim);
-    * the state value, the maximum of Q over the box, (..., 1). It is Q at the clipped mu. Where mu
-      is inside the box, as with all mu offered here, it is V; where a replaced mu leaves the box,
-      Q at the clipped mu is still the maximum for one action (for more, a lower bound of it);
-    * where the input has an action, the state-action value Q(s, a), (..., 1).
+    * the state value, the maximum of Q over the box, (..., 1). It is Q at the clipped mu. All
+      structures of mu here stay inside the box; then it is V. If another mu leaves the box, Q at
+      the clipped mu is still the maximum for one action (for more, a lower bound of it);
+    * if the input has an action, the state-action value Q(s, a), (..., 1).
 
     Args:
         features: names of the observation's columns.
         action_low: lower bounds of the action, (action_dim,), in action units.
         action_high: upper bounds of the action, (action_dim,).
-        mu: structure of mu: "cascade" (a yaw-rate loop inside Eq. 7's), "paper" (Eq. 6 and Eq. 7
-            to the letter) or "damped" (three placed poles) for one action; for two these with
-            "+idm" (car following and a correction) or "+mlp" for the second; "mlp" for any number.
+        mu: structure of mu. For one action: "cascade" (Eq. 7 with an inner yaw-rate loop), "paper"
+            (exactly Eq. 6 and Eq. 7) or "damped" (three placed poles). For two actions: one of
+            these with "+idm" (car following and a correction) or "+mlp" for the second action.
+            "mlp" for any number.
         hidden_sizes: widths of the hidden layers of every network.
-        offsets: observation offsets, one a feature, in its unit; zeros where not given.
-        scales: observation scales, one a feature, positive, in its unit; ones where not given.
-        action_costs: c, the weights of |a| in the reward, (action_dim,), for a unit of the action,
-            not negative; zeros where not given.
+        offsets: observation offsets, one per feature, in its unit; zeros by default.
+        scales: observation scales, one per feature, positive, in its unit; ones by default.
+        action_costs: c, the weights of |a| in the reward, (action_dim,), per unit of the action,
+            not negative; zeros by default.
         observation_key: where observations are read, (..., len(features)).
         action_key: where actions are read, (..., action_dim).
         greedy_action_key: where the greedy action is written.
@@ -59,13 +60,13 @@ class NAFNetwork(TensorDictModuleBase):
         action_value_key: where the state-action value is written.
 
     Attributes:
-        mu: the structure of mu, with all its parameters and no others.
+        mu: the structure of mu; its parameters are exactly those of mu.
         mu_frozen: while true, no gradient reaches mu's parameters (the paper's first stage, which
-            trains M and V only). Unlike `mu.requires_grad_(False)` it leaves the parameters in
-            the view of TorchRL's target updaters, which list them once and for all when built.
+            trains M and V only). With `mu.requires_grad_(False)` instead, TorchRL's target
+            updaters would not see these parameters: they list the parameters once, when built.
 
     Raises:
-        ValueError: mu's name is unknown, a feature that it needs is missing, it does not fit the
+        ValueError: mu's name is unknown, a feature that it needs is missing, mu does not fit the
             number of actions, or lengths, bounds or scales are inconsistent.
 
     Source: Eq. 5; Gu et al. 2016, "Continuous Deep Q-Learning with Model-based Acceleration".
@@ -101,7 +102,7 @@ class NAFNetwork(TensorDictModuleBase):
         action_value_key: NestedKey = "state_action_value",
     ) -> None:
         super().__init__()
-        # What it needs: the action is read where present, and value estimators have none.
+        # Required keys only: the action is optional, and value estimators have none.
         self.in_keys = [observation_key]
         self.out_keys = [greedy_action_key, value_key, action_value_key]
         self.observation_key = observation_key
@@ -153,7 +154,7 @@ class NAFNetwork(TensorDictModuleBase):
         """Writes the greedy action, the state value and, given an action, Q(s, a).
 
         Args:
-            tensordict: holds observations, (..., len(features)), and perhaps actions.
+            tensordict: holds observations, (..., len(features)), and optionally actions.
 
         Returns:
             the same tensordict.
@@ -173,7 +174,7 @@ class NAFNetwork(TensorDictModuleBase):
         return tensordict
 
     def action_value(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Q(s, a), as `forward` writes it, evaluating what it takes alone.
+        """Q(s, a) as `forward` writes it; evaluates only what is needed for it.
 
         Args:
             observation: (..., len(features)).
@@ -189,11 +190,12 @@ class NAFNetwork(TensorDictModuleBase):
         return value - penalty
 
     def max_value(self, observation: Tensor, params: TensorDictBase | None = None) -> Tensor:
-        """max_a Q(s, a) over the box, as `forward` writes it, evaluating what it takes alone.
+        """max_a Q(s, a) over the box as `forward` writes it; evaluates only what is needed for it.
 
         Args:
             observation: (..., len(features)).
-            params: parameters to use instead of its own, such as a target's; buffers are its own.
+            params: parameters to use instead of the network's, such as those of a target; the
+                buffers are always the network's.
 
         Returns:
             state values, (..., 1).
@@ -221,8 +223,8 @@ class NAFNetwork(TensorDictModuleBase):
         """The greedy policy: mu clipped to the box. The networks of M and V are not evaluated.
 
         Args:
-            observation_key: where observations are read; this network's key where not given.
-            action_key: where the action is written; this network's key where not given.
+            observation_key: where observations are read; by default this network's key.
+            action_key: where the action is written; by default this network's key.
 
         Returns:
             a module which shares mu's parameters with this network.
@@ -238,7 +240,7 @@ class NAFNetwork(TensorDictModuleBase):
         return getattr(self.mu, "inside_box", False)
 
     def _mu(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
-        """Mu and the slope of the actions' cost there, without a gradient where mu is frozen."""
+        """Mu and the slope of the actions' cost at mu, without a gradient if mu is frozen."""
         with torch.set_grad_enabled(torch.is_grad_enabled() and not self.mu_frozen):
             if self.has_action_costs:
                 mu, slope = self.mu.act(observation, normalised)
@@ -247,11 +249,11 @@ class NAFNetwork(TensorDictModuleBase):
         return mu, slope
 
     def _factor(self, normalised: Tensor) -> Tensor:
-        """L, (..., action_dim, action_dim); of one action its only entry, (..., 1)."""
+        """L, (..., action_dim, action_dim); for one action its only entry, (..., 1)."""
         actions = self.action_dim
         logits = self.factor_logits(normalised)
         bound = LOG_DIAGONAL_BOUND
-        if actions == 1:  # the general way takes several kernels more
+        if actions == 1:  # the general case needs several more kernels
             return torch.exp(bound * torch.tanh(logits / bound))
         diagonal = torch.exp(bound * torch.tanh(logits[..., :actions] / bound))
         factor = torch.diag_embed(diagonal)
@@ -267,7 +269,7 @@ class NAFNetwork(TensorDictModuleBase):
         Args:
             factor: what `_factor` returns.
             mu: (..., action_dim).
-            slope: of |a| at mu, (..., action_dim); not read without costs.
+            slope: of |a| at mu, (..., action_dim); not used without costs.
             action: (..., action_dim).
         """
         if action.shape != mu.shape:
@@ -281,7 +283,7 @@ class NAFNetwork(TensorDictModuleBase):
             penalty = (factor.mT @ distance.unsqueeze(-1)).square().sum(-2)
         if not self.has_action_costs:
             return penalty
-        # |mu| - g mu is 0; without it rounding would not cancel near mu.
+        # |mu| - g mu is 0 and left out, so that no rounding error of it remains near mu.
         bend = action.abs() - slope * action
         cost = sum(c * bend[..., i : i + 1] for i, c in enumerate(self.action_costs) if c)
         return penalty + cost
@@ -289,7 +291,7 @@ class NAFNetwork(TensorDictModuleBase):
     def _clipping(
         self, normalised: Tensor, mu: Tensor, slope: Tensor, factor: Tensor | None
     ) -> Tensor | float:
-        """What Q at the clipped mu loses against V."""
+        """V minus Q at the clipped mu."""
         if self._mu_inside_box:
             return 0.0
         if factor is None:
@@ -310,11 +312,11 @@ class Normaliser(nn.Module):
 
     Args:
         features: names of the observation's columns.
-        offsets: one a feature, in its unit; zeros where not given.
-        scales: one a feature, positive, in its unit; ones where not given.
+        offsets: one per feature, in its unit; zeros by default.
+        scales: one per feature, positive, in its unit; ones by default.
 
     Raises:
-        ValueError: no feature, a name given twice, a wrong length, or a scale that is not positive.
+        ValueError: no feature, a duplicate name, a wrong length, or a scale that is not positive.
     """
 
     offset: Tensor
@@ -343,7 +345,7 @@ class Normaliser(nn.Module):
         self.register_buffer("scale", scale.clone())
 
     def forward(self, observation: Tensor) -> Tensor:
-        """The normalised observation, (..., features)."""
+        """The normalized observation, (..., features)."""
         offset = self.offset
         if observation.shape[-1] != offset.shape[0]:
             raise ValueError(f"expected {offset.shape[0]} features, got {observation.shape[-1]}")

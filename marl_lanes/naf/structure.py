@@ -1,4 +1,4 @@
-"""What every structure of the greedy action mu(s) has: its needs and its columns."""
+"""The base class of all structures of the greedy action mu(s)."""
 
 from collections.abc import Sequence
 
@@ -10,8 +10,8 @@ class Mu(nn.Module):
     """A structure of the greedy action.
 
     Attributes:
-        inside_box: no parameters and no observation take the action out of the box, so that the
-            maximum of Q over the box is V itself.
+        inside_box: the action is inside the box for all parameters and observations, so the
+            maximum of Q over the box is V.
         needs: names of the observation columns that the formula reads.
     """
 
@@ -28,10 +28,10 @@ class Mu(nn.Module):
         self.columns = [list(features).index(feature) for feature in self.needs]
 
     def act(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
-        """The greedy action mu and the slope of the cost |a| there, (..., action_dim) each.
+        """The greedy action mu and the slope of the cost |a| at mu, (..., action_dim) each.
 
-        The slope is a subgradient: the sign of mu where it is not 0, and where it is 0, anything in
-        [-1, 1]. A structure that can say exactly 0 tells by it how near it is to doing something.
+        The slope is a subgradient: the sign of mu if mu is not 0, else any value in [-1, 1]. A
+        structure whose mu can be exactly 0 returns there how near mu is to leaving 0.
         """
         mu = self(observation, normalised)
         return mu, torch.sign(mu)

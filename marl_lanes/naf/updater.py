@@ -1,7 +1,7 @@
 """The target network's soft update, all parameters in one call."""
 
-import torch
 from torch import Tensor
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torchrl.objectives import SoftUpdate
 
 from marl_lanes.naf.joined import join, joined_runs, whole_of
@@ -35,5 +35,4 @@ class ForeachSoftUpdate(SoftUpdate):
         """One update of every target parameter."""
         if not self.initialized:
             raise RuntimeError("the updater must be initialised, by init_(), before its first step")
-        with torch.no_grad():
-            torch._foreach_lerp_(self._target_list, self._source_list, 1 - self.eps)
+        get_ema_multi_avg_fn(self.eps)(self._target_list, self._source_list, None)

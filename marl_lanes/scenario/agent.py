@@ -1,4 +1,4 @@
-"""What an agent does, sees and is paid, and when its change is complete."""
+"""Action, observation and reward of an agent, and when its lane change is complete."""
 
 from typing import Literal, Self
 
@@ -8,9 +8,10 @@ from marl_lanes.scenario.fields import NonNegative, Positive, Section
 
 
 class Completion(Section):
-    """When a changer has settled in its lane: every bound that is set holds.
+    """When a changer has settled in a lane: all bounds hold that are not null.
 
-    In the target lane it has then completed; turned back, in its own, it waits again.
+    In the target lane the change is then complete. In the origin lane, after an abort, the changer
+    waits again.
     """
 
     max_deviation: Positive = Field(0.2, description="|lateral deviation| [m], > 0")
@@ -18,7 +19,7 @@ class Completion(Section):
         0.25, description="|lateral speed| [m/s], > 0, null for no bound"
     )
     max_yaw_rate: Positive | None = Field(
-        0.03, description="|yaw rate - the road's own| [rad/s], > 0, null for no bound"
+        0.03, description="|yaw rate - the road's turning| [rad/s], > 0, null for no bound"
     )
 
 
@@ -26,13 +27,11 @@ class Longitudinal(Section):
     """The second dimension of the action: the longitudinal acceleration of a live agent."""
 
     max_acceleration: Positive = Field(
-        2.0, le=10.0, description="upper bound of the action [m/s^2], > 0 to 10"
+        2.0, le=10.0, description="largest acceleration [m/s^2], > 0 to 10"
     )
-    max_braking: Positive = Field(
-        3.0, le=12.0, description="lower bound of the action, as a braking [m/s^2], > 0 to 12"
-    )
+    max_braking: Positive = Field(3.0, le=12.0, description="hardest braking [m/s^2], > 0 to 12")
     max_speed: Positive = Field(
-        40.0, le=70.0, description="it accelerates up to this speed [m/s], > 0 to 70"
+        40.0, le=70.0, description="the agent accelerates up to this speed [m/s], > 0 to 70"
     )
 
 
@@ -40,16 +39,11 @@ class Action(Section):
     """The agent's action."""
 
     max_yaw_acceleration: Positive = Field(
-        0.5, le=5.0, description="bound of the yaw acceleration [rad/s^2], > 0 to 5"
+        0.5, le=5.0, description="largest yaw acceleration [rad/s^2], > 0 to 5"
     )
     longitudinal: Longitudinal | None = Field(
-        None, description="a second action, the longitudinal acceleration [section], null without"
+        None, description="a second action, the longitudinal acceleration [section], null for none"
     )
-
-    @property
-    def num_actions(self) -> int:
-        """D: 1, or 2 with the longitudinal acceleration."""
-        return 1 if self.longitudinal is None else 2
 
 
 FeatureName = Literal[
@@ -84,40 +78,41 @@ PAPER_FEATURES: tuple[FeatureName, ...] = (
 
 
 class Observation(Section):
-    """What an agent sees."""
+    """What an agent observes."""
 
     features: tuple[FeatureName, ...] = Field(
-        PAPER_FEATURES, min_length=1, description="feature names in order [list], no name twice"
+        PAPER_FEATURES, min_length=1, description="feature names in order [list], no duplicates"
     )
     sensor_range: Positive = Field(
         200.0,
         le=10_000.0,
-        description="gaps are cut off here; no vehicle looks like this gap [m], > 0 to 10,000",
+        description="largest gap that is observed, also the gap if there is no vehicle [m], "
+        "> 0 to 10,000",
     )
 
     @model_validator(mode="after")
     def _check_features(self) -> Self:
         twice = sorted({name for name in self.features if self.features.count(name) > 1})
         if twice:
-            raise ValueError(f"features: {twice} must be named once")
+            raise ValueError(f"features: {twice} must appear only once")
         return self
 
 
 class Reward(Section):
     """Eq. 10, Eq. 11, Eq. 12 and the failure penalty."""
 
-    acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
+    yaw_acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
     yaw_rate_weight: NonNegative = Field(0.5, description="w_rate [1/(rad/s)], >= 0")
     deviation_weight: NonNegative = Field(0.05, description="w_dev [1], >= 0")
     average_deviation: Positive = Field(1.875, description="d_avg [m], > 0")
     failure_penalty: NonNegative = Field(
-        10.0, description="paid once at a collision or off the road [1], >= 0"
+        10.0, description="cost of a collision or of leaving the road [1], >= 0"
     )
     delay_weight: NonNegative = Field(
-        0.0, description="for each second since the command [1/s], >= 0"
+        0.0, description="cost of each second since the command [1/s], >= 0"
     )
     longitudinal_weight: NonNegative = Field(
         0.0,
-        description="on the square of what the longitudinal action departs from car following "
-        "[s^4/m^2], >= 0",
+        description="weight of the square of the difference between the acceleration and car "
+        "following [s^4/m^2], >= 0",
     )

@@ -1,4 +1,4 @@
-"""A road's curves, and whether lane keeping can hold a lane through them."""
+"""A road's curves, and how far lane keeping deviates from the lane's centre in them."""
 
 import math
 from collections.abc import Sequence
@@ -8,11 +8,11 @@ from pydantic import Field
 from marl_lanes.scenario.fields import NonNegative, Positive, Real, Section
 
 _JOIN_TIME = 3.0
-"""[s] Two curves nearer than this count as one change of curvature."""
+"""[s] Two opposite curves with less time between them count as one change of curvature."""
 
 
 class Arc(Section):
-    """A curve: constant curvature between two clothoids, in which it rises and falls linearly."""
+    """A curve: constant curvature between two clothoids, with linear curvature in these."""
 
     start: NonNegative = Field(description="where the arc begins [m], >= 0, < end")
     end: Positive = Field(description="where the arc ends [m], > start, <= road.length")
@@ -35,27 +35,27 @@ def deviation_in_curves(
     pole: float,
     max_yaw_acceleration: float,
 ) -> list[float]:
-    """How far lane keeping is carried off the lane's centre at each arc's beginning [m].
+    """How far lane keeping deviates from the lane's centre at the start of each arc [m].
 
-    At the curve's speed v the change of curvature asks for D = v^2 |dc| of lateral acceleration
-    and for v |dc| of yaw rate, within T = L/v, L the clothoid's length::
+    At the curve's speed v the change of curvature dc needs the lateral acceleration D = v^2 |dc|,
+    and the yaw rate v |dc| within T = L/v, L the clothoid's length::
 
         max(D min(2/(e p)^2, 1/(T p^3)), 0.53 D max(0, v |dc|/alpha_max - T)^2)
 
-    The first is the peak of the linear response of three poles p, to a step and to a ramp. The
-    second, where the yaw acceleration is at its bound for most of the time, has its factor from
-    simulations (tests/scenario/test_curves.py holds it against others). From the curve before,
-    where it bends the other way and is near, the change is its curvature more, at the lower speed.
+    The first term is the peak of the linear response with three poles p, to a step and to a ramp.
+    The second is for a yaw acceleration that is at its bound for most of the time; its factor is a
+    fit to simulations (tests/scenario/test_curves.py compares it with others). If the curve before
+    bends the other way and is near, dc includes its curvature, at the lower of the two speeds.
 
     Args:
         arcs: ascending.
         road_width: [m].
-        lateral_acceleration: of the driver in a curve [m/s^2].
-        top_speed: that no driver exceeds [m/s].
-        pole: p, of lane keeping [rad/s].
-        max_yaw_acceleration: alpha_max, of lane keeping [rad/s^2].
+        lateral_acceleration: largest one of the driver in a curve [m/s^2].
+        top_speed: highest speed of any driver [m/s].
+        pole: p of lane keeping [rad/s].
+        max_yaw_acceleration: alpha_max of lane keeping [rad/s^2].
     """
-    # The tightest path, and the speed on it.
+    # The path with the smallest radius, and the speed on it.
     radii = [abs(arc.radius) - (road_width if arc.radius > 0.0 else 0.0) for arc in arcs]
     speeds = [min(top_speed, math.sqrt(lateral_acceleration * radius)) for radius in radii]
     deviations = []

@@ -1,4 +1,4 @@
-"""Who drives: the car-following law and the profiles."""
+"""The drivers: car-following law and profiles."""
 
 from typing import Annotated, Literal, Self
 
@@ -8,7 +8,7 @@ from marl_lanes.scenario.fields import NonNegative, Positive, Section, Share, ha
 
 
 class DriverProfile(Section):
-    """An IDM parameter set (Eq. 9), and how fast the driver takes a curve."""
+    """An IDM parameter set (Eq. 9), and the lateral acceleration in curves."""
 
     minimum_gap: Positive = Field(5.0, description="s0, gap at standstill [m], > 0")
     time_headway: Positive = Field(1.0, description="T, time gap to the leader [s], > 0")
@@ -16,7 +16,7 @@ class DriverProfile(Section):
     comfortable_braking: Positive = Field(1.5, description="b [m/s^2], > 0")
     exponent: Positive = Field(4.0, ge=1.0, description="delta [1], >= 1")
     comfortable_lateral_acceleration: Positive = Field(
-        2.0, ge=0.2, le=4.0, description="v^2 |curvature| in a curve at most [m/s^2], 0.2 to 4"
+        2.0, ge=0.2, le=4.0, description="largest v^2 |curvature| in a curve [m/s^2], 0.2 to 4"
     )
 
 
@@ -41,7 +41,7 @@ def _default_profiles() -> dict[str, DriverProfile]:
 
 
 class Drivers(Section):
-    """Who drives: the car-following law and the mix of profiles."""
+    """The drivers: car-following law and mix of profiles."""
 
     car_following: Literal["max", "sum", "acc"] = Field(
         "max",

@@ -11,17 +11,17 @@ _TO_METRES_PER_SECOND = {"km/h": 1.0 / 3.6, "m/s": 1.0}
 
 
 def _parse_speed(value: Any) -> Any:
-    """Turn ``"30 km/h"`` or ``"8 m/s"`` into metres per second; leave the rest to the type."""
+    """Convert ``"30 km/h"`` or ``"8 m/s"`` to metres per second; return other values unchanged."""
     if not isinstance(value, str):
         return value
     match = _SPEED.fullmatch(value)
     if match is None:
-        raise ValueError("a speed is a number in m/s or a text such as '30 km/h'")
+        raise ValueError("a speed must be a number in m/s or a string such as '30 km/h'")
     return float(match[1]) * _TO_METRES_PER_SECOND[match[2]]
 
 
 def _parse_pair(value: Any) -> Any:
-    """Accept YAML's lists where the type is a pair."""
+    """Accept a list, as YAML has it, for a pair."""
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -49,13 +49,13 @@ NonNegativeRange = Annotated[
 
 
 def has_weight(mix: Mapping[Any, float]) -> Mapping[Any, float]:
-    """Refuse a mix whose shares are all 0."""
+    """Reject a mix whose shares are all 0."""
     if not sum(mix.values()) > 0.0:
         raise ValueError("the shares must sum to more than 0")
     return mix
 
 
 class Section(BaseModel):
-    """Fields that refuse unknown keys."""
+    """A section of the scenario; it rejects unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -1,4 +1,4 @@
-"""What the vehicle behind an engaged changer in its target lane does."""
+"""Dispositions: how the vehicle behind an engaged changer in its target lane behaves."""
 
 from typing import Annotated, Literal
 
@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field
 from marl_lanes.scenario.fields import NonNegative, Positive, Real, Section, Share, has_weight
 
 SCRIPTED = ("cooperative", "neutral", "adversarial")
-"""The dispositions that the simulation itself drives, in the order of their codes."""
+"""The dispositions with a formula in the simulation, in the order of their codes."""
 
 LEARNED = "learned"
 """The disposition that a checkpoint or a learner drives."""
@@ -16,14 +16,15 @@ DispositionName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]*$", max
 
 
 class Cooperative(Section):
-    """A follower that takes the engaged changer as its leader from engagement on."""
+    """A follower whose leader is also the changer, from the engagement on."""
 
     time_headway: Positive = Field(1.5, description="T toward the changer [s], > 0")
     max_braking: Positive = Field(
-        2.0, description="hardest braking for a changer not yet in its lane [m/s^2], > 0"
+        2.0,
+        description="hardest braking for a changer whose body is not in the lane yet [m/s^2], > 0",
     )
     moves_over: bool = Field(
-        False, description="whether it may also move to the lane beyond to yield [bool]"
+        False, description="whether it may also yield by moving to the lane beyond [bool]"
     )
 
 
@@ -31,7 +32,7 @@ class Adversarial(Section):
     """A follower that closes the gap until the changer's body is in its lane."""
 
     desired_speed_factor: Positive = Field(
-        1.3, ge=1.0, le=2.0, description="on its desired speed [1], 1 to 2"
+        1.3, ge=1.0, le=2.0, description="multiplies its desired speed [1], 1 to 2"
     )
     max_acceleration: Positive = Field(
         3.0, le=10.0, description="a_m while it closes the gap [m/s^2], > 0 to 10"
@@ -43,44 +44,47 @@ class External(Section):
     """The limits of a follower that a registered policy, a checkpoint or a learner drives."""
 
     max_acceleration: Positive = Field(
-        3.0, le=10.0, description="upper bound of its action [m/s^2], > 0 to 10"
+        3.0, le=10.0, description="largest acceleration [m/s^2], > 0 to 10"
     )
     max_braking: Positive = Field(
-        3.0, le=12.0, description="lower bound of its action, as a braking [m/s^2], > 0 to 12"
+        3.0, le=12.0, description="hardest braking that it may choose [m/s^2], > 0 to 12"
     )
     max_speed: Positive = Field(
         40.0, le=70.0, description="it accelerates up to this speed [m/s], > 0 to 70"
     )
     is_guarded: bool = Field(
-        True, description="whether car following with the gap rule's numbers bounds it [bool]"
+        True,
+        description="whether car following with the gap rule's parameters limits the action [bool]",
     )
 
 
 class FollowerReward(Section):
-    """The weights of a learned follower's reward; a negative weight turns a term round."""
+    """The weights of a learned follower's reward; a negative weight changes a term's sign."""
 
     delay_weight: Real = Field(
-        description="for each second in which the changer is not yet in its lane [1/s]"
+        description="weight of each second in which the changer's body is not in the lane yet [1/s]"
     )
-    abort_weight: Real = Field(description="for each abort of the changer [1]")
-    collision_penalty: NonNegative = Field(description="paid once when it collides [1], >= 0")
+    abort_weight: Real = Field(description="weight of each abort of the changer [1]")
+    collision_penalty: NonNegative = Field(
+        description="cost of a collision of the follower [1], >= 0"
+    )
     discomfort_weight: NonNegative = Field(
-        description="on the square of its acceleration [s^4/m^2], >= 0"
+        description="weight of the square of its acceleration [s^4/m^2], >= 0"
     )
     braking_weight: NonNegative = Field(
-        description="on its braking beyond hard_braking [s^2/m], >= 0"
+        description="weight of its braking beyond hard_braking [s^2/m], >= 0"
     )
-    hard_braking: NonNegative = Field(3.0, description="braking beyond it is hard [m/s^2], >= 0")
+    hard_braking: NonNegative = Field(3.0, description="harder braking has a cost [m/s^2], >= 0")
 
 
 class Learned(Section):
-    """The disposition ``learned``: whose policy it is, and what it learns for."""
+    """The disposition ``learned``: its policy and its reward."""
 
     checkpoint: Annotated[str, Field(min_length=1)] | None = Field(
-        None, description="file of a follower's policy [path], null where a learner drives"
+        None, description="file of a follower's policy [path], null if a learner drives"
     )
     objective: Literal["adversarial", "cooperative"] = Field(
-        "adversarial", description="which of the two rewards a learner is paid [name]"
+        "adversarial", description="which of the two rewards a learner gets [name]"
     )
     adversarial: FollowerReward = Field(
         default=FollowerReward(
@@ -118,19 +122,19 @@ class Followers(Section):
         "a registered name; 0 to 1e6, not all 0",
     )
     cooperative: Cooperative = Field(
-        default=Cooperative(), description="parameters of the cooperative ones [section]"
+        default=Cooperative(), description="parameters of cooperative followers [section]"
     )
     adversarial: Adversarial = Field(
-        default=Adversarial(), description="parameters of the adversarial ones [section]"
+        default=Adversarial(), description="parameters of adversarial followers [section]"
     )
     external: External = Field(
-        default=External(), description="limits of learned and registered ones [section]"
+        default=External(), description="limits of learned and registered followers [section]"
     )
     learned: Learned = Field(
-        default=Learned(), description="policy and reward of the learned ones [section]"
+        default=Learned(), description="policy and reward of learned followers [section]"
     )
 
     @property
     def external_names(self) -> tuple[str, ...]:
-        """The names in the mix that the simulation itself does not drive, in its order."""
+        """The names in the mix that are not scripted, in the order of the mix."""
         return tuple(name for name in self.mix if name not in SCRIPTED)

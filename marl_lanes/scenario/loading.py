@@ -3,18 +3,17 @@
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from types import UnionType
-from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from marl_lanes.scenario.fields import Section
+from marl_lanes.scenario.messages import explain
 from marl_lanes.scenario.schema import Scenario
 
 
 class ScenarioError(ValueError):
-    """A scenario that cannot be: the message names each field, its value and what is allowed."""
+    """An invalid scenario: the message names each field, its value and the allowed values."""
 
 
 if TYPE_CHECKING:
@@ -25,7 +24,7 @@ else:
 
 
 class _UniqueKeyLoader(SafeLoader):
-    """YAML's safe loader, which also refuses a key that is written twice."""
+    """YAML's safe loader, which also rejects duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
@@ -52,13 +51,14 @@ def load_scenario(
     """A scenario by its shipped name, from a YAML file, or from a mapping.
 
     Args:
-        source: a name of ``list_scenarios()``, the path of a YAML file (a ``Path``, or a text with
-            a path separator or the suffix ``.yaml``), a mapping of fields, or a scenario.
+        source: a name of ``list_scenarios()``, the path of a YAML file (a ``Path``, or a string
+            with a path separator or the suffix ``.yaml`` or ``.yml``), a mapping of fields, or a
+            scenario.
         overrides: fields to replace, nested as in the YAML; sections are merged key by key.
 
     Raises:
-        ScenarioError: no such scenario or file, or fields that cannot be; the message names each
-            field, its value and what is allowed.
+        ScenarioError: no such scenario or file, or invalid fields; the message names each field,
+            its value and the allowed values.
     """
     if isinstance(source, Scenario):
         if not overrides:
@@ -81,11 +81,11 @@ def load_scenario(
     try:
         return Scenario.model_validate(_merge(data, overrides or {}))
     except ValidationError as error:
-        raise ScenarioError(f"{origin}: " + "; ".join(_explain(error))) from None
+        raise ScenarioError(f"{origin}: {explain(error, Scenario)}") from None
 
 
 def _read(source: str | Path) -> tuple[str, str, str]:
-    """The text, where it comes from, and the default name of a scenario file."""
+    """The text of a scenario file, a description of its source, and the default name."""
     is_path = isinstance(source, Path) or source.endswith((".yaml", ".yml")) or "/" in source
     if is_path:
         path = Path(source)
@@ -107,43 +107,9 @@ def _merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
     merged = dict(base)
     for key, value in overrides.items():
         below = merged.get(key)
-        # A mix is replaced as a whole: shares of another mix make no sense beside it.
+        # A mix is replaced as a whole: its shares are relative to each other.
         if isinstance(value, Mapping) and isinstance(below, Mapping) and key != "mix":
             merged[key] = _merge(below, value)
         else:
             merged[key] = value
     return merged
-
-
-def _explain(error: ValidationError) -> list[str]:
-    """One line a problem: field, value, what is allowed."""
-    lines = []
-    for problem in error.errors():
-        location = ".".join(str(part) for part in problem["loc"])
-        message = problem["msg"].removeprefix("Value error, ")
-        message = message.replace("Input should be", "must be")
-        if problem["type"] == "extra_forbidden":
-            allowed = ", ".join(_fields_at(problem["loc"][:-1]))
-            lines.append(f"{location}: unknown key; allowed: {allowed}")
-        elif problem["type"] == "missing":
-            lines.append(f"{location}: must be given")
-        elif isinstance(problem["input"], Mapping | Section) and location.count("mix") == 0:
-            lines.append(f"{location}.{message}" if location else message)
-        else:
-            lines.append(f"{location} = {problem['input']!r}: {message}")
-    return lines
-
-
-def _fields_at(location: tuple[str | int, ...]) -> list[str]:
-    """The keys that the section at ``location`` allows."""
-    annotation: Any = Scenario
-    for part in location:
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            annotation = annotation.model_fields[str(part)].annotation
-        else:
-            # dict[str, X] and tuple[X, ...]: what every entry is.
-            annotation = get_args(annotation)[1 if get_origin(annotation) is dict else 0]
-        if get_origin(annotation) in (Union, UnionType):
-            # A section that may be null.
-            annotation = get_args(annotation)[0]
-    return list(annotation.model_fields)

@@ -16,7 +16,7 @@ class Road(Section):
     num_lanes: Count = Field(3, ge=2, le=16, description="lanes [count], 2 to 16")
     lane_width: Positive = Field(3.75, ge=2.5, le=6.0, description="[m], 2.5 to 6")
     arcs: tuple[Arc, ...] = Field(
-        (), description="curved stretches [list], ascending, disjoint; straight elsewhere"
+        (), description="curves [list], ascending, disjoint; the road is straight elsewhere"
     )
 
     @model_validator(mode="after")
@@ -47,7 +47,7 @@ class Road(Section):
 
 
 class Vehicle(Section):
-    """The rectangle that every vehicle is, and its physical limits."""
+    """The body of every vehicle, a rectangle, and its physical limits."""
 
     length: Positive = Field(4.8, ge=2.0, le=20.0, description="[m], 2 to 20")
     width: Positive = Field(1.8, ge=0.5, le=2.5, description="[m], 0.5 to 2.5, < road.lane_width")
@@ -55,5 +55,5 @@ class Vehicle(Section):
         8.0, ge=2.0, le=12.0, description="physical braking limit [m/s^2], 2 to 12"
     )
     min_turning_radius: Positive = Field(
-        5.5, ge=1.0, le=20.0, description="bounds |yaw rate| by speed/radius [m], 1 to 20"
+        5.5, ge=1.0, le=20.0, description="limits |yaw rate| to speed/radius [m], 1 to 20"
     )

@@ -1,7 +1,7 @@
 """The scenario's fields: units, limits and defaults.
 
-The defaults are the paper's numbers, so a YAML file names only where it differs. SI units; a speed
-may be written ``30 km/h``.
+The defaults are the paper's values, so a YAML file has only the fields that differ. Units are SI; a
+speed may be written as ``30 km/h``.
 """
 
 from typing import Literal, Self
@@ -22,6 +22,18 @@ from marl_lanes.scenario.fields import (
 )
 from marl_lanes.scenario.followers import Followers
 from marl_lanes.scenario.road import Road, Vehicle
+
+MIN_KEEPING_SHARE = 0.14
+"""[rad/s] Least bound of lane keeping's yaw acceleration, of its pole."""
+
+MAX_KEEPING_STEP = 0.5
+"""[1] Largest pole of lane keeping times time step."""
+
+MAX_CARRIED_SHARE = 0.8
+"""[1] How far a curve may carry a vehicle off its lane's centre, of the room beside its body."""
+
+MAX_WARMUP = 3600.0
+"""[s]"""
 
 
 class Departures(Section):
@@ -47,16 +59,19 @@ class LaneKeeping(Section):
         2.0, le=3.0, description="closed-loop pole [rad/s], > 0 to 3, <= 0.5/time_step"
     )
     max_yaw_acceleration: Positive = Field(
-        0.5, le=5.0, description="bound of the steering [rad/s^2], 0.14 pole to 5"
+        0.5,
+        le=5.0,
+        description="largest yaw acceleration of lane keeping [rad/s^2], 0.14 pole to 5",
     )
 
 
 class Command(Section):
-    """When a middle-lane vehicle is told to change lanes."""
+    """When a vehicle in a middle lane gets a lane-change command."""
 
     position: NonNegativeRange = Field(
         (140.0, 160.0),
-        description="where a vehicle may be commanded [m], >= 0, < road.length, uniform",
+        description="position at which a vehicle may be commanded [m], >= 0, < road.length, "
+        "uniform",
     )
     probability: NonNegative = Field(
         1.0 / 3.0, le=1.0, description="share of the vehicles commanded [1], 0 to 1"
@@ -69,12 +84,12 @@ class Command(Section):
 
 
 class Gap(Section):
-    """The gap selector: what a vehicle behind must be able to do without braking hard."""
+    """The gap rule: which gaps the rear vehicle can follow without hard braking."""
 
     rule: Literal["car_following", "kinematic"] = Field(
         "car_following",
-        description="what a safe gap is [name]: 'car_following' where the drivers' own law brakes "
-        "at most safe_braking, 'kinematic' where gap >= minimum_gap + time_gap v_rear + "
+        description="rule for a safe gap [name]: 'car_following' if the driver's own law brakes "
+        "at most safe_braking, 'kinematic' if gap >= minimum_gap + time_gap v_rear + "
         "max(0, dv)^2/(2 max_braking)",
     )
     safe_braking: Positive = Field(
@@ -82,14 +97,15 @@ class Gap(Section):
     )
     braking_margin: NonNegative = Field(
         1.0,
-        description="by which the braking must be milder for a gap to be accepted [m/s^2], >= 0, "
-        "< safe_braking",
+        description="to accept a gap, braking must be milder than safe_braking by this [m/s^2], "
+        ">= 0, < safe_braking",
     )
     speed_factor: Positive = Field(
         1.1,
         ge=1.0,
         le=2.0,
-        description="how far above its desired speed a driver may go for a gap [1], 1 to 2",
+        description="a driver may exceed its desired speed by this factor to reach a gap [1], "
+        "1 to 2",
     )
     minimum_gap: NonNegative = Field(
         2.0, description="d_min of both rules and of the guard [m], >= 0"
@@ -99,7 +115,8 @@ class Gap(Section):
     )
     max_braking: Positive = Field(
         4.0,
-        description="b_max of the vehicle behind, of rule kinematic and of the guard [m/s^2], > 0",
+        description="b_max, braking of the vehicle behind, of rule kinematic and of the guard "
+        "[m/s^2], > 0",
     )
 
     @model_validator(mode="after")
@@ -116,27 +133,28 @@ class Scenario(Section):
     """A road, its traffic, the commands, the agents' action, observation and reward."""
 
     name: str = Field(min_length=1, description="the scenario's name [text]")
-    description: str = Field("", description="one sentence on what it is for [text]")
+    description: str = Field("", description="one sentence about its purpose [text]")
     time_step: Positive = Field(0.1, ge=0.01, le=0.5, description="dt [s], 0.01 to 0.5")
     num_agents: Count | None = Field(
         10,
         ge=1,
         le=100_000,
-        description="commands an episode [count], 1 to 100,000, null for no end",
+        description="commands per episode [count], 1 to 100,000, null for no limit",
     )
     horizon: Positive | None = Field(
         1800.0,
         le=1e6,
-        description="longest episode after the warm-up [s], time_step to 1e6, null for no end",
+        description="longest episode after the warm-up [s], time_step to 1e6, null for no limit",
     )
     num_slots: Count = Field(
-        8, ge=1, le=64, description="agents live at once at most [count], 1 to 64"
+        8, ge=1, le=64, description="largest number of live agents [count], 1 to 64"
     )
     max_vehicles: Count = Field(
-        64, ge=4, le=4096, description="vehicles on the road at most [count], 4 to 4,096"
+        64, ge=4, le=4096, description="largest number of vehicles on the road [count], 4 to 4,096"
     )
     warmup: NonNegativeRange = Field(
-        (60.0, 90.0), description="age of the traffic at a reset [s], 0 to 3600, uniform"
+        (60.0, 90.0),
+        description="simulated traffic before an episode starts [s], 0 to 3600, uniform",
     )
     road: Road = Field(default=Road(), description="geometry [section]")
     vehicle: Vehicle = Field(default=Vehicle(), description="body and limits [section]")
@@ -144,7 +162,7 @@ class Scenario(Section):
     departures: Departures = Field(default=Departures(), description="inflow [section]")
     lane_keeping: LaneKeeping = Field(default=LaneKeeping(), description="steering [section]")
     command: Command = Field(default=Command(), description="lane-change commands [section]")
-    gap: Gap = Field(default=Gap(), description="gap selector [section]")
+    gap: Gap = Field(default=Gap(), description="gap rule [section]")
     followers: Followers = Field(default=Followers(), description="dispositions [section]")
     completion: Completion = Field(default=Completion(), description="end of a change [section]")
     action: Action = Field(default=Action(), description="bounds of the action [section]")
@@ -170,7 +188,7 @@ class Scenario(Section):
             )
         if self.command.position[1] >= self.road.length:
             raise ValueError(
-                f"command.position = {list(self.command.position)} must lie below road.length = "
+                f"command.position = {list(self.command.position)} must be below road.length = "
                 f"{self.road.length}"
             )
         missing = [lane for lane in self.command.lanes or () if lane not in self.middle_lanes]
@@ -189,22 +207,24 @@ class Scenario(Section):
             raise ValueError(
                 f"command.lanes = {list(self.command_lanes)} must not name a lane twice"
             )
-        if self.warmup[1] > 3600.0:
-            raise ValueError(f"warmup = {list(self.warmup)} must be at most 3600 s")
+        if self.warmup[1] > MAX_WARMUP:
+            raise ValueError(f"warmup = {list(self.warmup)} must be at most {MAX_WARMUP:g} s")
         if self.horizon is not None and self.horizon < self.time_step:
             raise ValueError(
                 f"horizon = {self.horizon} must be at least time_step = {self.time_step}"
             )
-        if self.lane_keeping.pole * self.time_step > 0.5:
+        if self.lane_keeping.pole * self.time_step > MAX_KEEPING_STEP:
             raise ValueError(
-                f"lane_keeping.pole = {self.lane_keeping.pole} must be at most 0.5/time_step = "
-                f"{0.5 / self.time_step:.4g}: beyond that lane keeping is unstable"
+                f"lane_keeping.pole = {self.lane_keeping.pole} must be at most "
+                f"{MAX_KEEPING_STEP}/time_step = {MAX_KEEPING_STEP / self.time_step:.4g}: beyond "
+                "that lane keeping is unstable"
             )
-        if self.lane_keeping.max_yaw_acceleration < 0.14 * self.lane_keeping.pole:
+        least = MIN_KEEPING_SHARE * self.lane_keeping.pole
+        if self.lane_keeping.max_yaw_acceleration < least:
             raise ValueError(
                 f"lane_keeping.max_yaw_acceleration = {self.lane_keeping.max_yaw_acceleration} "
-                f"must be at least 0.14 pole = {0.14 * self.lane_keeping.pole:.4g}: below that "
-                "it saturates and swings up"
+                f"must be at least {MIN_KEEPING_SHARE} pole = {least:.4g}: below that "
+                "lane keeping saturates and is unstable"
             )
         self._check_curves()
         if self.completion.max_deviation >= self.road.lane_width / 2.0:
@@ -215,10 +235,10 @@ class Scenario(Section):
         return self
 
     def _check_curves(self) -> None:
-        """Refuse curves in which lane keeping would lose its lane."""
-        room = 0.8 * (self.road.lane_width - self.vehicle.width) / 2.0
+        """Reject curves in which lane keeping would leave its lane."""
+        room = MAX_CARRIED_SHARE * (self.road.lane_width - self.vehicle.width) / 2.0
         speeds = [self.departures.initial_speed[1], self.followers.external.max_speed]
-        # An adversarial driver that waits for a gap itself: both factors.
+        # Both factors apply to an adversarial driver that seeks a gap itself.
         factors = self.followers.adversarial.desired_speed_factor * self.gap.speed_factor
         speeds.append(self.departures.desired_speed[1] * factors)
         if self.action.longitudinal is not None:
@@ -239,9 +259,9 @@ class Scenario(Section):
                 if deviation > room:
                     raise ValueError(
                         f"road.arcs: radius = {arc.radius} from {arc.start} with transition = "
-                        f"{arc.transition} must be driven within {room:.3g} m of the lane's "
-                        f"centre: a driver {name!r} of comfortable_lateral_acceleration = "
-                        f"{lateral} is carried off by {deviation:.3g} m; a longer transition, a "
-                        "larger radius, less lateral acceleration or a larger lane_keeping.pole "
-                        "helps"
+                        f"{arc.transition}: lane keeping must stay within {room:.3g} m of the "
+                        f"lane's centre, but deviates by {deviation:.3g} m with the driver profile "
+                        f"{name!r} of comfortable_lateral_acceleration = {lateral}; use a longer "
+                        "transition, a larger radius, a smaller lateral acceleration or a larger "
+                        "lane_keeping.pole"
                     )

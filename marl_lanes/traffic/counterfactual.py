@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from marl_lanes.traffic.driving.dispositions import comfortable_in_curves, drive_alone
 from marl_lanes.traffic.machine.compiled import compiled, entry_point, internal
-from marl_lanes.traffic.machine.state import AGENT, NONE, ROAD, VEHICLE, Phase, State, structure
+from marl_lanes.traffic.machine.state import NONE, ROAD, VEHICLE, Phase, State, structure
 from marl_lanes.traffic.parameters import ARC, CONSTANTS, PROFILE, Parameters
 from marl_lanes.traffic.road.geometry import is_body_in
+from marl_lanes.traffic.roles.changer import CHANGER
 
 _ENGAGED = int(Phase.ENGAGED)
 
@@ -42,7 +43,7 @@ def accelerations_without_change(
 def _kernel() -> Callable[..., None]:
     """``_imagine`` for the types that it is always called with."""
     roads, order = np.empty(1, structure(ROAD)), np.empty((1, 1), np.uint32)
-    vehicles, agents = (np.empty((1, 1), structure(table)) for table in (VEHICLE, AGENT))
+    vehicles, agents = (np.empty((1, 1), kind) for kind in (structure(VEHICLE), CHANGER.dtype))
     profiles, arcs, constants = (
         np.empty(1, structure(table)) for table in (PROFILE, ARC, CONSTANTS)
     )

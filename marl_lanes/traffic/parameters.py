@@ -9,9 +9,17 @@ from numpy.typing import NDArray
 from marl_lanes.scenario.followers import SCRIPTED
 from marl_lanes.scenario.schema import Scenario
 from marl_lanes.traffic.machine.state import Records, Table, structure
-from marl_lanes.traffic.roles.observation import feature_codes
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.traffic.roles.role import Role
 
 NO_BOUND = np.inf
+
+
+def _kind(role: Role) -> str:
+    """The dtype of one number for each term."""
+    return f"({len(role.terms)},)f8"
+
 
 CONSTANTS: Table = (
     ("time_step", "f8", "s", "dt"),
@@ -59,12 +67,8 @@ CONSTANTS: Table = (
     ("external_max_speed", "f8", "m/s", ""),
     ("is_external_guarded", "i8", "1", ""),
     ("num_external", "i8", "1", "dispositions of the mix that are driven from outside"),
-    ("follower_delay_weight", "f8", "1/s", "reward of a learned follower"),
-    ("follower_abort_weight", "f8", "1", ""),
-    ("follower_collision_penalty", "f8", "1", ""),
-    ("follower_discomfort_weight", "f8", "s^4/m^2", ""),
-    ("follower_braking_weight", "f8", "s^2/m", ""),
-    ("follower_hard_braking", "f8", "m/s^2", ""),
+    ("follower_weights", _kind(FOLLOWER), "", "of the terms of its reward"),
+    ("follower_hard_braking", "f8", "m/s^2", "beyond which its braking is charged"),
     ("completion_max_deviation", "f8", "m", ""),
     ("completion_max_lateral_speed", "f8", "m/s", "inf for no bound"),
     ("completion_max_yaw_rate", "f8", "rad/s", "inf for no bound"),
@@ -74,13 +78,8 @@ CONSTANTS: Table = (
     ("longitudinal_max_braking", "f8", "m/s^2", "bound of the second action"),
     ("longitudinal_max_speed", "f8", "m/s", ""),
     ("sensor_range", "f8", "m", ""),
-    ("acceleration_weight", "f8", "s^2/rad", "Eq. 10"),
-    ("yaw_rate_weight", "f8", "s/rad", "Eq. 11"),
-    ("deviation_weight", "f8", "1", "Eq. 12"),
+    ("changer_weights", _kind(CHANGER), "", "of the terms of its reward"),
     ("average_deviation", "f8", "m", "Eq. 12"),
-    ("failure_penalty", "f8", "1", ""),
-    ("delay_weight", "f8", "1/s", ""),
-    ("longitudinal_weight", "f8", "s^4/m^2", ""),
 )
 
 PROFILE: Table = (
@@ -116,12 +115,21 @@ class Parameters:
     arcs: Records
     """(K,) ARC, ascending."""
     features: NDArray[np.int32]
-    """(F,) codes of the observation's features."""
+    """(F,) codes of the features that a changer sees."""
+    follower_features: NDArray[np.int32]
+    """(G,) codes of those that a follower sees."""
 
     @property
     def arrays(self) -> tuple[NDArray[np.generic], ...]:
         """The arrays in kernel order."""
-        return self.constants, self.profiles, self.dispositions, self.arcs, self.features
+        return (
+            self.constants,
+            self.profiles,
+            self.dispositions,
+            self.arcs,
+            self.features,
+            self.follower_features,
+        )
 
 
 def make_parameters(scenario: Scenario) -> Parameters:
@@ -147,25 +155,9 @@ def make_parameters(scenario: Scenario) -> Parameters:
         profiles=profiles,
         dispositions=_cumulative([mix.get(name, 0.0) for name in names]),
         arcs=arcs,
-        features=feature_codes(scenario.observation.features),
+        features=CHANGER.codes(scenario),
+        follower_features=FOLLOWER.codes(scenario),
     )
-
-
-def action_bounds(scenario: Scenario) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Lowest and highest actions of a changer, two (D,) float32 [rad/s^2, m/s^2]."""
-    yaw, longitudinal = scenario.action.max_yaw_acceleration, scenario.action.longitudinal
-    low, high = [-yaw], [yaw]
-    if longitudinal is not None:
-        low.append(-longitudinal.max_braking)
-        high.append(longitudinal.max_acceleration)
-    return np.asarray(low, np.float32), np.asarray(high, np.float32)
-
-
-def follower_action_bounds(scenario: Scenario) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Lowest and highest actions of an external follower, two (1,) float32 [m/s^2]."""
-    external = scenario.followers.external
-    low, high = [-external.max_braking], [external.max_acceleration]
-    return np.asarray(low, np.float32), np.asarray(high, np.float32)
 
 
 def _cumulative(shares: list[float]) -> NDArray[np.float64]:
@@ -175,9 +167,9 @@ def _cumulative(shares: list[float]) -> NDArray[np.float64]:
 
 def _make_constants(scenario: Scenario) -> Records:
     completion, departures = scenario.completion, scenario.departures
-    external, paid = scenario.followers.external, scenario.followers.learned.reward
-    longitudinal, names = scenario.action.longitudinal, scenario.followers.external_names
-    values: dict[str, float] = {
+    external, names = scenario.followers.external, scenario.followers.external_names
+    longitudinal = scenario.action.longitudinal
+    values: dict[str, float | list[float]] = {
         "time_step": scenario.time_step,
         "road_length": scenario.road.length,
         "lane_width": scenario.road.lane_width,
@@ -223,12 +215,8 @@ def _make_constants(scenario: Scenario) -> Records:
         "external_max_speed": external.max_speed,
         "is_external_guarded": external.is_guarded,
         "num_external": len(names),
-        "follower_delay_weight": paid.delay_weight,
-        "follower_abort_weight": paid.abort_weight,
-        "follower_collision_penalty": paid.collision_penalty,
-        "follower_discomfort_weight": paid.discomfort_weight,
-        "follower_braking_weight": paid.braking_weight,
-        "follower_hard_braking": paid.hard_braking,
+        "follower_weights": FOLLOWER.weights(scenario),
+        "follower_hard_braking": scenario.followers.learned.reward.hard_braking,
         "completion_max_deviation": completion.max_deviation,
         "completion_max_lateral_speed": completion.max_lateral_speed or NO_BOUND,
         "completion_max_yaw_rate": completion.max_yaw_rate or NO_BOUND,
@@ -238,13 +226,8 @@ def _make_constants(scenario: Scenario) -> Records:
         "longitudinal_max_braking": longitudinal.max_braking if longitudinal else 0.0,
         "longitudinal_max_speed": longitudinal.max_speed if longitudinal else 0.0,
         "sensor_range": scenario.observation.sensor_range,
-        "acceleration_weight": scenario.reward.acceleration_weight,
-        "yaw_rate_weight": scenario.reward.yaw_rate_weight,
-        "deviation_weight": scenario.reward.deviation_weight,
+        "changer_weights": CHANGER.weights(scenario),
         "average_deviation": scenario.reward.average_deviation,
-        "failure_penalty": scenario.reward.failure_penalty,
-        "delay_weight": scenario.reward.delay_weight,
-        "longitudinal_weight": scenario.reward.longitudinal_weight,
     }
     constants = np.zeros(1, structure(CONSTANTS))
     for name, _, _, _ in CONSTANTS:

@@ -1,6 +1,6 @@
-"""What the changers of a batch are told after a step, read out of their table in one pass.
+"""What the agents of a batch are told after a step, read out of their tables in one pass each.
 
-Its records are longer than a cache line: one column costs as much to read as all of them.
+The records are longer than a cache line: one column costs as much to read as all of them.
 """
 
 from collections.abc import Callable
@@ -10,80 +10,150 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.traffic.machine.compiled import compiled, entry_point
-from marl_lanes.traffic.machine.state import AGENT, Outcome, Phase, Records, structure
+from marl_lanes.traffic.command.phases import is_aborting, is_acting, is_live, is_steering
+from marl_lanes.traffic.machine.compiled import compiled, entry_point, internal
+from marl_lanes.traffic.machine.state import Outcome, Records, truncates
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.roles.follower import FOLLOWER
 
-_ABSENT = int(Phase.ABSENT)
-_ENGAGED = int(Phase.ENGAGED)
-_ABORTING = int(Phase.ABORTING)
 _UNFINISHED = int(Outcome.UNFINISHED)
-_FIRST_TRUNCATING = int(Outcome.MISSED)
+
+Columns = dict[str, NDArray[Any]]
+"""New arrays, which are the caller's, by their key in TorchRL."""
 
 
-class Readout(NamedTuple):
-    """New arrays, which are the caller's."""
+class Masks(NamedTuple):
+    """Which slots of the changers are in which state, (E, A) bool each."""
 
-    mask: NDArray[np.bool_]
-    """(E, A): live."""
-    engaged: NDArray[np.bool_]
-    """(E, A): steering, engaged or aborting."""
-    aborting: NDArray[np.bool_]
-    """(E, A): steering back to the lane that it came from."""
+    live: NDArray[np.bool_]
+    """The command is unfinished."""
+    steering: NDArray[np.bool_]
+    """The agent steers: it is engaged or aborting."""
     acting: NDArray[np.bool_]
-    """(E, A): its action has an effect."""
-    outcome: NDArray[np.int64]
-    """(E, A) Outcome, set in the step that ended the command."""
-    reward: NDArray[np.float32]
-    """(E, A, 1), as the next four."""
-    episode_reward: NDArray[np.float32]
-    done: NDArray[np.bool_]
-    """The command ended in the last step."""
-    terminated: NDArray[np.bool_]
-    """By completion, a collision or off the road."""
-    truncated: NDArray[np.bool_]
-    """Missed, or by the horizon."""
+    """Its action has an effect."""
 
 
-def read_out(agents: Records, *, acts_waiting: bool) -> Readout:
-    """The columns of the changers.
+def read_masks(agents: Records, *, has_longitudinal: bool) -> Masks:
+    """The state of every slot.
 
     Args:
         agents: (E, A) AGENT.
-        acts_waiting: whether a waiting changer acts, too.
+        has_longitudinal: whether the action has a second dimension, with which a waiting changer
+            acts, too.
     """
-    flat, column = agents.shape, (*agents.shape, 1)
-    readout = Readout(
-        mask=np.empty(flat, np.bool_),
-        engaged=np.empty(flat, np.bool_),
-        aborting=np.empty(flat, np.bool_),
-        acting=np.empty(flat, np.bool_),
-        outcome=np.empty(flat, np.int64),
-        reward=np.empty(column, np.float32),
-        episode_reward=np.empty(column, np.float32),
-        done=np.empty(column, np.bool_),
-        terminated=np.empty(column, np.bool_),
-        truncated=np.empty(column, np.bool_),
-    )
-    _kernel()(agents, acts_waiting, *readout)
-    return readout
+    masks = Masks(*(np.empty(agents.shape, np.bool_) for _ in Masks._fields))
+    _masks_kernel()(agents, has_longitudinal, *masks)
+    return masks
+
+
+def read_changers(agents: Records, *, has_longitudinal: bool) -> Columns:
+    """What the changers are told.
+
+    Args:
+        agents: (E, A) AGENT.
+        has_longitudinal: as for ``read_masks``.
+
+    Returns:
+        ``mask`` (live), ``steering``, ``aborting`` and ``acting``, (E, A) bool; ``outcome``, (E, A)
+        int64, set in the step that ends a command; ``reward`` and ``episode_reward``, (E, A, 1)
+        float32; ``done``, ``terminated`` and ``truncated``, (E, A, 1) bool.
+    """
+    flat = agents.shape
+    columns: Columns = {
+        "mask": np.empty(flat, np.bool_),
+        "steering": np.empty(flat, np.bool_),
+        "aborting": np.empty(flat, np.bool_),
+        "acting": np.empty(flat, np.bool_),
+        "outcome": np.empty(flat, np.int64),
+        **_common(flat),
+    }
+    _changers_kernel()(agents, has_longitudinal, *columns.values())
+    return columns
+
+
+def read_followers(agents: Records, followers: Records, *, policy: int) -> Columns:
+    """What the learned followers are told; their ends are those of their changers.
+
+    Args:
+        agents: (E, A) AGENT.
+        followers: (E, A) FOLLOWER.
+        policy: the value of ``policy`` of those that a learner drives.
+
+    Returns:
+        As ``read_changers``, without ``steering``, ``aborting`` and ``outcome``.
+    """
+    flat = agents.shape
+    columns: Columns = {
+        "mask": np.empty(flat, np.bool_),
+        "acting": np.empty(flat, np.bool_),
+        **_common(flat),
+    }
+    _followers_kernel()(agents, followers, policy, *columns.values())
+    return columns
+
+
+def _common(flat: tuple[int, ...]) -> Columns:
+    return {
+        "reward": np.empty((*flat, 1), np.float32),
+        "episode_reward": np.empty((*flat, 1), np.float32),
+        "done": np.empty((*flat, 1), np.bool_),
+        "terminated": np.empty((*flat, 1), np.bool_),
+        "truncated": np.empty((*flat, 1), np.bool_),
+    }
+
+
+_FLAG, _OUTCOME = np.empty((1, 1), np.bool_), np.empty((1, 1), np.int64)
 
 
 @cache
-def _kernel() -> Callable[..., None]:
-    """``_read`` for the types that it is always called with."""
-    agents = np.empty((1, 1), structure(AGENT))
-    flag, column = np.empty((1, 1), np.bool_), np.empty((1, 1, 1), np.bool_)
-    outcome, number = np.empty((1, 1), np.int64), np.empty((1, 1, 1), np.float32)
-    types = (flag, flag, flag, flag, outcome, number, number, column, column, column)
-    return entry_point(_read, (agents, False, *types))
+def _masks_kernel() -> Callable[..., None]:
+    """Each kernel for the types that it is always called with."""
+    return entry_point(_read_masks, (np.empty((1, 1), CHANGER.dtype), False, *[_FLAG] * 3))
+
+
+@cache
+def _changers_kernel() -> Callable[..., None]:
+    agents = np.empty((1, 1), CHANGER.dtype)
+    types = (*[_FLAG] * 4, _OUTCOME, *_common((1, 1)).values())
+    return entry_point(_read_changers, (agents, False, *types))
+
+
+@cache
+def _followers_kernel() -> Callable[..., None]:
+    agents, followers = (np.empty((1, 1), role.dtype) for role in (CHANGER, FOLLOWER))
+    types = (_FLAG, _FLAG, *_common((1, 1)).values())
+    return entry_point(_read_followers, (agents, followers, 0, *types))
+
+
+_truncates = internal(truncates)
 
 
 @compiled
-def _read(
+def _read_masks(agents: Any, has_longitudinal: bool, live: Any, steering: Any, acting: Any) -> None:
+    for env in range(agents.shape[0]):
+        for slot in range(agents.shape[1]):
+            agent = agents[env, slot]
+            live[env, slot] = is_live(agent)
+            steering[env, slot] = is_steering(agent)
+            acting[env, slot] = is_acting(agent, has_longitudinal)
+
+
+@internal
+def _read_end(agent: Any, done: Any, terminated: Any, truncated: Any) -> None:
+    """Pulses in the step that ends a command, each (1,)."""
+    has_ended = agent.outcome != _UNFINISHED
+    is_truncated = _truncates(agent.outcome)
+    done[0] = has_ended
+    terminated[0] = has_ended and not is_truncated
+    truncated[0] = is_truncated
+
+
+@compiled
+def _read_changers(
     agents: Any,
-    acts_waiting: bool,
+    has_longitudinal: bool,
     mask: Any,
-    engaged: Any,
+    steering: Any,
     aborting: Any,
     acting: Any,
     outcome: Any,
@@ -96,16 +166,34 @@ def _read(
     for env in range(agents.shape[0]):
         for slot in range(agents.shape[1]):
             agent = agents[env, slot]
-            is_live, is_steering = agent.phase != _ABSENT, agent.phase >= _ENGAGED
-            has_ended = agent.outcome != _UNFINISHED
-            is_truncated = agent.outcome >= _FIRST_TRUNCATING
-            mask[env, slot] = is_live
-            engaged[env, slot] = is_steering
-            aborting[env, slot] = agent.phase == _ABORTING
-            acting[env, slot] = is_live if acts_waiting else is_steering
+            mask[env, slot] = is_live(agent)
+            steering[env, slot] = is_steering(agent)
+            aborting[env, slot] = is_aborting(agent)
+            acting[env, slot] = is_acting(agent, has_longitudinal)
             outcome[env, slot] = agent.outcome
             reward[env, slot, 0] = agent.reward
             episode_reward[env, slot, 0] = agent.episode_reward
-            done[env, slot, 0] = has_ended
-            terminated[env, slot, 0] = has_ended and not is_truncated
-            truncated[env, slot, 0] = is_truncated
+            _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])
+
+
+@compiled
+def _read_followers(
+    agents: Any,
+    followers: Any,
+    policy: int,
+    mask: Any,
+    acting: Any,
+    reward: Any,
+    episode_reward: Any,
+    done: Any,
+    terminated: Any,
+    truncated: Any,
+) -> None:
+    for env in range(agents.shape[0]):
+        for slot in range(agents.shape[1]):
+            agent, follower = agents[env, slot], followers[env, slot]
+            mask[env, slot] = is_live(agent)
+            acting[env, slot] = follower.policy == policy
+            reward[env, slot, 0] = follower.reward
+            episode_reward[env, slot, 0] = follower.episode_reward
+            _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])

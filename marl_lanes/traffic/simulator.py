@@ -13,19 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.followers import LEARNED
 from marl_lanes.traffic.machine.compiled import entry_point
-from marl_lanes.traffic.machine.state import Outcome, Phase, Records, allocate
+from marl_lanes.traffic.machine.state import Outcome, Records, allocate
 from marl_lanes.traffic.parameters import make_parameters
+from marl_lanes.traffic.readout import Masks, read_masks
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policy, choose_policies
-from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.step import RESET, SKIP, STEP, run
 
 _ROADS_PER_THREAD = 1024
 """Below this many roads waking a second thread costs about what it saves."""
 
 # numpy compares with plain integers several times faster than with members of an enumeration.
-_ABSENT = int(Phase.ABSENT)
-_ENGAGED = int(Phase.ENGAGED)
 _UNFINISHED = int(Outcome.UNFINISHED)
+
+_NO_LEARNER = -2
+"""Neither the place of a disposition nor that of none."""
 
 
 class Simulator:
@@ -74,20 +77,26 @@ class Simulator:
         if learned_followers and LEARNED not in self.scenario.followers.mix:
             self.scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
         self.learned_followers = learned_followers
+        self.roles = (CHANGER, FOLLOWER) if learned_followers else (CHANGER,)
+        names = self.scenario.followers.external_names
+        self.learner = names.index(LEARNED) if learned_followers else _NO_LEARNER
+        """``policy`` of the followers that ``follower_actions`` drive."""
         self._policies = choose_policies(
             self.scenario, follower_policies, has_learner=learned_followers
         )
         self.num_envs = num_envs
         self.first_road = first_road
         self.num_slots = self.scenario.num_slots
-        self.num_actions = self.scenario.action.num_actions
+        self.num_actions = len(CHANGER.act(self.scenario))
         self.state = allocate(
             num_envs=num_envs,
             num_lanes=self.scenario.road.num_lanes,
             max_vehicles=self.scenario.max_vehicles,
             num_slots=self.num_slots,
-            num_features=len(self.scenario.observation.features),
-            num_follower_features=len(FOLLOWER_FEATURES),
+            num_features=len(CHANGER.seen(self.scenario)),
+            num_terms=len(CHANGER.terms),
+            num_follower_features=len(FOLLOWER.seen(self.scenario)),
+            num_follower_terms=len(FOLLOWER.terms),
         )
         self.parameters = make_parameters(self.scenario)
         self.actions = np.zeros((num_envs, self.num_slots, self.num_actions))
@@ -199,27 +208,34 @@ class Simulator:
             start += array.nbytes
 
     @property
-    def is_live(self) -> NDArray[np.bool_]:
-        """(E, A): slots whose command is unfinished."""
-        return np.asarray(self.state.agents["phase"] != _ABSENT)
+    def has_longitudinal(self) -> bool:
+        """Whether the changers' action has a second dimension."""
+        return self.num_actions > 1
 
     @property
-    def is_engaged(self) -> NDArray[np.bool_]:
+    def masks(self) -> Masks:
+        """Which slots are live, steering and acting."""
+        return read_masks(self.state.agents, has_longitudinal=self.has_longitudinal)
+
+    @property
+    def is_live(self) -> NDArray[np.bool_]:
+        """(E, A): slots whose command is unfinished."""
+        return self.masks.live
+
+    @property
+    def is_steering(self) -> NDArray[np.bool_]:
         """(E, A): slots whose agent steers, engaged or aborting."""
-        return np.asarray(self.state.agents["phase"] >= _ENGAGED)
+        return self.masks.steering
 
     @property
     def is_acting(self) -> NDArray[np.bool_]:
         """(E, A): slots whose action has an effect: steering, or live where D is 2."""
-        return self.is_engaged if self.num_actions == 1 else self.is_live
+        return self.masks.acting
 
     @property
     def is_follower_acting(self) -> NDArray[np.bool_]:
         """(E, A): slots whose learned follower is paired now."""
-        if not self.learned_followers:
-            return np.zeros(self.state.followers.shape, np.bool_)
-        code = self.scenario.followers.external_names.index(LEARNED)
-        return np.asarray(self.state.followers["policy"] == code)
+        return np.asarray(self.state.followers["policy"] == self.learner)
 
     @property
     def has_ended(self) -> NDArray[np.bool_]:

@@ -33,9 +33,8 @@ from marl_lanes.traffic.road.geometry import is_off_road, road_turn_rate
 from marl_lanes.traffic.road.lane_keeping import keep_lane
 from marl_lanes.traffic.road.motion import integrate
 from marl_lanes.traffic.road.neighbors import find_agent_neighbors, find_rank, insert_by_position
-from marl_lanes.traffic.roles.observation import observe
+from marl_lanes.traffic.roles.changer import Scene, Step, observe_changer, pay_changer
 from marl_lanes.traffic.roles.pairing import clear_follower, pair
-from marl_lanes.traffic.roles.reward import reward, sum_terms
 
 STEP = 0
 SKIP = 1
@@ -86,18 +85,10 @@ def move(
 
 
 @internal
-def judge(
-    road: Any,
-    vehicles: Any,
-    order: Any,
-    agents: Any,
-    observations: Any,
-    arcs: Any,
-    features: Any,
-    profiles: Any,
-    constants: Any,
-) -> None:
+def judge(scene: Any, observations: Any, features: Any) -> None:
     """Reward every agent for the step, and end those whose command is over."""
+    road, vehicles, order, agents = scene.road, scene.vehicles, scene.order, scene.agents
+    arcs, constants = scene.arcs, scene.constants
     has_ended = False
     index, unseen = -1, road.num_live
     while unseen > 0:
@@ -110,20 +101,15 @@ def judge(
         deviation = lateral_deviation(agent, car, constants)
         turning = car.yaw_rate - road_turn_rate(car, arcs)
         outcome = find_outcome(agent, car, deviation, turning, road, constants)
-        is_failure = outcome in (_COLLISION, _OFF_ROAD)
-        agent.reward_failure = -constants.failure_penalty if is_failure else 0.0
         if is_steering(agent):
-            agent.engaged_steps += 1
-            reward(agent, car, deviation, turning, constants)
-        else:
-            agent.reward_acceleration = agent.reward_yaw_rate = agent.reward_deviation = 0.0
-        sum_terms(agent, car, constants)
+            agent.steering_steps += 1
+        step = Step(agent, car, deviation, turning, outcome, constants)
+        pay_changer(agent, constants.changer_weights, step)
         if outcome == _UNFINISHED:
             continue
         rank = find_rank(agent.vehicle, order)
         find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
-        seen = observations[index]
-        observe(agent, road, vehicles, order, agents, arcs, features, constants, profiles, seen)
+        observe_changer(features, observations[index], agent, car, scene)
         agent.outcome = outcome
         has_ended = True
     if has_ended:
@@ -132,22 +118,13 @@ def judge(
 
 
 @internal
-def renew(
-    road: Any,
-    vehicles: Any,
-    order: Any,
-    agents: Any,
-    observations: Any,
-    arcs: Any,
-    features: Any,
-    profiles: Any,
-    constants: Any,
-) -> None:
+def renew(scene: Any, observations: Any, features: Any) -> None:
     """Neighbors, phase and observation of every live agent; who is the follower of whom.
 
     Phases change from the front of the road to its rear, so that a gap accepted by one is taken for
     the next. The rest comes from the state after all of them: no agent slot counts before another.
     """
+    road, vehicles, order, agents = scene.road, scene.vehicles, scene.order, scene.agents
     has_changed = False
     rank, unseen = -1, road.num_live
     while unseen > 0:
@@ -159,8 +136,8 @@ def renew(
         agent = agents[car.agent]
         find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
         phase = agent.phase
-        turning = car.yaw_rate - road_turn_rate(car, arcs)
-        change_phase(agent, vehicles, turning, profiles, constants)
+        turning = car.yaw_rate - road_turn_rate(car, scene.arcs)
+        change_phase(agent, vehicles, turning, scene.profiles, scene.constants)
         has_changed = has_changed or agent.phase != phase
     rank, unseen = -1, road.num_live
     while unseen > 0:
@@ -173,8 +150,7 @@ def renew(
         agent = agents[index]
         if has_changed:
             find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
-        seen = observations[index]
-        observe(agent, road, vehicles, order, agents, arcs, features, constants, profiles, seen)
+        observe_changer(features, observations[index], agent, car, scene)
         follower = agent.target_follower
         if agent.phase == _ENGAGED and follower > NONE:
             nearest = vehicles[follower].changer
@@ -243,6 +219,7 @@ def run(
     dispositions: Any,
     arcs: Any,
     features: Any,
+    follower_features: Any,
 ) -> None:
     """Advance the masked roads among ``start`` to ``stop``; the others keep every byte.
 
@@ -275,6 +252,7 @@ def run(
         road, lane, cars, ranks = roads[env], lanes[env], vehicles[env], order[env]
         live, seen, crashes = agents[env], observations[env], collisions[env]
         behind, seen_behind = followers[env], follower_observations[env]
+        scene = Scene(road, cars, ranks, live, profiles, arcs, p)
         if mode == RESET:
             clear(road, lane, cars, live, behind, crashes, seen, seen_behind, profiles, p)
         is_first = mode == STEP
@@ -308,14 +286,14 @@ def run(
             if detect_collisions(road, cars, ranks, live, crashes, p):
                 is_leaving = True
             if road.num_live > 0:
-                judge(road, cars, ranks, live, seen, arcs, features, profiles, p)
+                judge(scene, seen, features)
             if is_leaving:
                 remove_vehicles(road, cars, ranks)
             depart(road, lane, cars, ranks, live, p, profiles, dispositions, arcs)
             if is_command_due:
                 give_commands(road, cars, ranks, live, p)
             if road.num_live > 0:
-                renew(road, cars, ranks, live, seen, arcs, features, profiles, p)
+                renew(scene, seen, features)
             if p.num_external > 0:
-                pair(cars, live, behind, seen_behind, p)
+                pair(scene, behind, seen_behind, follower_features)
             end_episode(road, live, p)

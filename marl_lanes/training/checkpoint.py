@@ -1,16 +1,33 @@
-"""Networks and checkpoints that fit a scenario: those of its changers, those of its followers."""
+"""Networks for a role on a scenario, and checkpoints of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 
-from marl_lanes.naf.checkpoint import FORMAT, Checkpoint, CheckpointError, read_checkpoint
+from marl_lanes.envs.fit import check_fit, network_form
+from marl_lanes.files import write_atomically
+from marl_lanes.naf.checkpoint import (
+    FORMAT,
+    Checkpoint,
+    CheckpointError,
+    PolicyNetwork,
+    build_checkpoint,
+    read_checkpoint,
+    read_content,
+)
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.parameters import action_bounds, follower_action_bounds
-from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES, feature_scaling
-from marl_lanes.training.files import write_atomically
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.roles.role import Role
+from marl_lanes.training.algorithms.actor_critic import ActorNetwork
+
+FORMATS: Mapping[str, Callable[..., PolicyNetwork]] = {
+    FORMAT: NAFNetwork,
+    "marl-lanes actor policy 1": ActorNetwork,
+}
+"""What a checkpoint's entry ``format`` says: which network it holds."""
 
 _HIDDEN_SIZES = (64, 64)
 
@@ -20,55 +37,38 @@ def make_network(
     mu: str,
     hidden_sizes: Sequence[int] = _HIDDEN_SIZES,
     *,
+    role: Role = CHANGER,
     knows_action_cost: bool = True,
 ) -> NAFNetwork:
-    """An untrained network of the changers, for their features and action bounds.
+    """An untrained network for the features and action bounds of a role.
 
     Args:
-        scenario: whose changers it drives.
-        mu: structure of mu.
+        scenario: whose agents it drives.
+        mu: structure of mu; of followers ``mlp``.
         hidden_sizes: widths of the hidden layers of each network.
+        role: of the agents.
         knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
             of the yaw acceleration in it; otherwise it is a plain parabola.
     """
-    features = scenario.observation.features
-    offsets, scales = feature_scaling(features)
-    low, high = (bound.tolist() for bound in action_bounds(scenario))
-    costs = [0.0] * len(low)
+    form = network_form(role, scenario)
+    costs = [0.0] * len(form["action_low"])
     if knows_action_cost and mu.startswith("cascade"):
-        costs[0] = scenario.reward.acceleration_weight
-    return NAFNetwork(
-        features,
-        low,
-        high,
-        mu=mu,
-        hidden_sizes=hidden_sizes,
-        offsets=offsets,
-        scales=scales,
-        action_costs=costs,
-    )
+        costs[0] = scenario.reward.yaw_acceleration_weight
+    return NAFNetwork(**form, mu=mu, hidden_sizes=hidden_sizes, action_costs=costs)
 
 
-def make_follower_network(
-    scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
-) -> NAFNetwork:
-    """An untrained network of the learned followers; its mu is the general one."""
-    low, high = (bound.tolist() for bound in follower_action_bounds(scenario))
-    return NAFNetwork(
-        [feature.name for feature in FOLLOWER_FEATURES],
-        low,
-        high,
-        mu="mlp",
-        hidden_sizes=hidden_sizes,
-        offsets=[feature.offset for feature in FOLLOWER_FEATURES],
-        scales=[feature.scale for feature in FOLLOWER_FEATURES],
-    )
+def make_actor_network(
+    scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES, *, role: Role = CHANGER
+) -> ActorNetwork:
+    """An untrained actor for the features and action bounds of a role."""
+    return ActorNetwork(**network_form(role, scenario), hidden_sizes=hidden_sizes)
 
 
-def save_checkpoint(path: Path, network: NAFNetwork, scenario: str, transitions: int) -> None:
+def save_checkpoint(path: Path, network: PolicyNetwork, scenario: str, transitions: int) -> None:
     """Write a checkpoint, whole or not at all."""
-    content = {
-        "format": FORMAT,
+    (form,) = [form for form, kind in FORMATS.items() if kind is type(network)]
+    content: dict[str, Any] = {
+        "format": form,
         "config": network.config,
         "weights": {key: value.detach().cpu() for key, value in network.state_dict().items()},
         "scenario": scenario,
@@ -77,24 +77,31 @@ def save_checkpoint(path: Path, network: NAFNetwork, scenario: str, transitions:
     write_atomically(path, lambda temporary: torch.save(content, temporary))
 
 
-def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint:
-    """Read a changers' checkpoint that fits the scenario: features in order, action bounds.
+def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint[NAFNetwork]:
+    """Read a changers' checkpoint of NAF that fits the scenario.
+
+    Raises:
+        CheckpointError: as of ``load_policy``, or it is of another form.
+    """
+    found = read_checkpoint(path)
+    check_fit(path, found.network, CHANGER, scenario)
+    return found
+
+
+def load_policy(path: Path, scenario: Scenario) -> Checkpoint[PolicyNetwork]:
+    """Read a changers' checkpoint of any form that fits the scenario.
+
+    It fits where features, in order, and action bounds are the same. No code in it is run.
 
     Raises:
         CheckpointError: not readable, not a checkpoint, or it does not fit the scenario.
     """
-    whose = f"the changers of scenario {scenario.name!r} have"
-    found = read_checkpoint(path)
-    features = list(scenario.observation.features)
-    if found.network.features != features:
+    content = read_content(path)
+    kind = FORMATS.get(str(content.get("format")))
+    if kind is None:
         raise CheckpointError(
-            f"checkpoint {path}: its features are {found.network.features}, {whose} {features}"
+            f"checkpoint {path}: not a checkpoint of the forms {', '.join(map(repr, FORMATS))}"
         )
-    config = found.network.config
-    bounds = [bound.tolist() for bound in action_bounds(scenario)]
-    if [config["action_low"], config["action_high"]] != bounds:
-        raise CheckpointError(
-            f"checkpoint {path}: its action bounds are {config['action_low']} to "
-            f"{config['action_high']}, {whose} {bounds[0]} to {bounds[1]}"
-        )
+    found = build_checkpoint(path, content, kind)
+    check_fit(path, found.network, CHANGER, scenario)
     return found

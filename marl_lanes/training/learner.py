@@ -1,6 +1,5 @@
 """One group's learning: what it is made of, how far it is, and the loop."""
 
-import copy
 import shutil
 import time
 from collections import defaultdict
@@ -13,26 +12,20 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor, nn
-from torch.nn.utils import clip_grad_norm_
-from torchrl.modules import AdditiveGaussianModule
-from torchrl.objectives import HardUpdate
+from torch import Tensor
 from tqdm import tqdm
 
-from marl_lanes.envs.batched import GROUP, LaneChangeEnv
-from marl_lanes.naf.joined import join_parameters
-from marl_lanes.naf.loss import NAFLoss
-from marl_lanes.naf.network import NAFNetwork
-from marl_lanes.naf.updater import ForeachSoftUpdate
+from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.files import write_json
+from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
-from marl_lanes.training.files import write_json
 from marl_lanes.training.interruptions import note_interruptions
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import (
-    EVALUATED,
     FINAL_MODEL,
     REPLAY_FOLDER,
     STATE_FILE,
@@ -40,39 +33,27 @@ from marl_lanes.training.run_folder import (
     check_empty,
 )
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
-from marl_lanes.training.transitions import (
-    CPU,
-    LivePolicy,
-    finished_maneuvers,
-    live_transitions,
-    send,
-)
+from marl_lanes.training.transitions import finished_maneuvers, live_transitions, send
 
 ROWS_AT_ONCE = 32_768
 """Rows read from the replay buffer together, for as many updates as they make."""
 
-EvaluateModel = Callable[[NAFNetwork], Mapping[str, Any]]
+EvaluateModel = Callable[[PolicyNetwork], Mapping[str, Any]]
 """What a network achieves as it is: metrics by name, numbers or None."""
 
 
 class Learner:
-    """A network that learns to drive one group of agents, while the others keep their policies.
+    """One group of agents that learns to drive, while the others keep their policies.
 
     It needs a run folder before it can train: ``begin`` a new one or ``resume`` an old one.
 
     Args:
         config: how it learns.
         env: that it collects in, or the pattern of the workers' environments.
-        network: of the group; moved to the device, and changed in place. Random numbers are torch's
-            own: seed them before.
-        group: whose network it is.
+        algorithm: that it learns with. Random numbers are torch's own: seed them before it is made.
         others: policies of other groups, modules that write their actions.
-        evaluated: the metrics in the table of the saved models, the criterion among them.
         make_collector: in this process, or in others. What it collects in is part of the training
             state.
-        device: where the network learns.
-        acting_device: where it drives: there, too, or on the CPU, as in workers. What it sees and
-            does is on the CPU.
     """
 
     run: RunFolder
@@ -82,57 +63,16 @@ class Learner:
         self,
         config: LearnerConfig,
         env: LaneChangeEnv,
-        network: NAFNetwork,
+        algorithm: Algorithm,
         *,
-        group: str = GROUP,
         others: Sequence[TensorDictModuleBase] = (),
-        evaluated: Sequence[str] = EVALUATED,
         make_collector: MakeCollector = LocalCollector,
-        device: torch.device = CPU,
-        acting_device: torch.device = CPU,
     ) -> None:
         self.config = config
         self.env = env
-        self.network = network.to(device)
-        self.device = device
-        self.group = group
-        self.evaluated = tuple(evaluated)
-        # One tensor for what learns together: the optimiser's work is mostly a cost for each.
-        parts = [*network.factor_logits.parameters(), *network.value.parameters()]
-        self.joined = [join_parameters(part) for part in (parts, list(network.mu.parameters()))]
-        self.gradients = [block.grad for block in self.joined if block.grad is not None]
-        rates: dict[float, list[nn.Parameter]] = {}
-        steps = config.optimizer.learning_rate, config.optimizer.mu_learning_rate
-        for block, rate in zip(self.joined, steps, strict=True):
-            rates.setdefault(rate, []).append(block)
-        self.rates = tuple(rates)
-        self.loss = NAFLoss(network)
-        self.loss.make_value_estimator(gamma=config.loss.gamma)
-        if config.loss.target_update == "soft":
-            self.target_updater = ForeachSoftUpdate(self.loss, tau=config.loss.tau)
-        else:
-            # Its interval counts the calls in between, of which there are none.
-            self.target_updater = HardUpdate(self.loss, value_network_update_interval=0)
-        self.optimizer = torch.optim.Adam(
-            [{"params": blocks, "lr": rate} for rate, blocks in rates.items()], fused=True
-        )
-        self.compute_loss = torch.compile(self.loss) if config.optimizer.compile else self.loss
-        self.noise = AdditiveGaussianModule(
-            spec=env.full_action_spec,
-            action_key=(group, "action"),
-            sigma_init=float(config.exploration.initial_sigma),
-            sigma_end=float(config.exploration.final_sigma),
-        )
-        # Sigma is a share of the half range, whatever the action's unit.
-        self.noise.std = network.box.half_range.to(CPU, copy=True)
-        self.noise.std[1:] *= config.exploration.longitudinal_factor
-        # Elsewhere it drives with a copy, which each batch begins with.
-        is_same = acting_device == device
-        self.actor = network if is_same else copy.deepcopy(network).to(acting_device)
-        policy = LivePolicy(
-            self.actor.policy().module, network.action_dim, group, device=acting_device
-        )
-        self.policy = TimedPolicy(*others, policy, self.noise)
+        self.algorithm = algorithm
+        self.group = algorithm.group
+        self.policy = TimedPolicy(*others, algorithm.policy)
         self.collector = make_collector(env, self.policy, config.collector.steps_per_batch)
         self.counters = defaultdict[str, float](float)
         """transitions, updates, saved (models), and seconds by activity."""
@@ -168,7 +108,11 @@ class Learner:
 
     def _make_replay(self, folder: Path) -> Replay:
         size = self.memory["bytes_per_stored_transition"]
-        return Replay(self.config.replay, folder / REPLAY_FOLDER, size, self.device)
+        return Replay(self.config.replay, folder / REPLAY_FOLDER, size, self.algorithm.device)
+
+    def _open(self, folder: Path, until: int | None = None) -> RunFolder:
+        evaluated = self.config.evaluation.metrics
+        return RunFolder(folder, self.algorithm.columns, evaluated=evaluated, until=until)
 
     def begin(self, folder: Path) -> None:
         """Start in a new or empty folder.
@@ -178,7 +122,7 @@ class Learner:
         """
         check_empty(folder)
         self.replay = self._make_replay(folder)
-        self.run = RunFolder(folder, evaluated=self.evaluated)
+        self.run = self._open(folder)
         self.save()
 
     def resume(self, folder: Path) -> None:
@@ -192,20 +136,20 @@ class Learner:
         self.replay = self._make_replay(folder)
         restore_state(
             content,
-            loss=self.loss,
-            optimizer=self.optimizer,
+            loss=self.algorithm.loss,
+            optimizer=self.algorithm.optimizer,
             replay=self.replay,
             collector=self.collector,
         )
-        self.run = RunFolder(folder, until=self.transitions, evaluated=self.evaluated)
+        self.run = self._open(folder, until=self.transitions)
 
     def save(self) -> None:
         """Write the training state."""
         save_state(
             self.run.state,
             counters=dict(self.counters),
-            loss=self.loss,
-            optimizer=self.optimizer,
+            loss=self.algorithm.loss,
+            optimizer=self.algorithm.optimizer,
             replay=self.replay,
             collector=self.collector,
         )
@@ -226,8 +170,7 @@ class Learner:
             self.policy.seconds,
         )
         with self.timed("collecting"):
-            if self.actor is not self.network:
-                self.actor.load_state_dict(self.network.state_dict())
+            self.algorithm.refresh_policy()
             batch = self.collector.next()
         counters["seconds_simulating"] += self.env.seconds - simulating
         counters["seconds_acting"] += self.policy.seconds - acting
@@ -236,59 +179,36 @@ class Learner:
             counters["seconds_waiting"] += counters["seconds_collecting"] - before
         return batch
 
-    def anneal(self) -> None:
-        """Set noise, step sizes and stage for the transitions to come."""
-        exploration = self.config.exploration
-        share = min(1.0, self.transitions / max(1, exploration.annealing_transitions))
-        sigma = exploration.initial_sigma
-        self.noise.sigma.fill_(sigma + share * (exploration.final_sigma - sigma))
-        optimizer = self.config.optimizer
-        stage_one = optimizer.pretraining_transitions
-        stage_two = max(1, self.config.collector.total_transitions - stage_one)
-        share = min(1.0, max(0, self.transitions - stage_one) / stage_two)
-        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
-            group["lr"] = rate * (1.0 - share * (1.0 - optimizer.final_rate))
-        is_stage_one = self.transitions < stage_one
-        # Adam passes over what has no gradient; a zero one it would count as a step.
-        self.joined[1].grad = None if is_stage_one else self.gradients[1]
-        self.network.mu_frozen = is_stage_one
-        self.loss.value_network.mu_frozen = is_stage_one
-
-    def update(self, number: int) -> Tensor:
-        """So many gradient steps on batches from the replay buffer, and the target's.
+    def update(self, number: int) -> dict[str, Tensor]:
+        """So many updates on batches from the replay buffer.
 
         Returns:
-            the losses, (number,), on the device: the call does not wait for a GPU.
+            the losses by name, (number,) or fewer, on the device: the call does not wait for a GPU.
         """
         size = self.config.replay.batch_size
         at_once = max(1, ROWS_AT_ONCE // size)
-        losses: list[Tensor] = []
-        while (left := number - len(losses)) > 0:
+        losses = defaultdict[str, list[Tensor]](list)
+        left = number
+        while left > 0:
             rows = self.replay.sample(min(left, at_once))
             if self.config.replay.storage == "memmap":
-                rows = send(rows, self.device)
-            losses += [self._take_step(batch) for batch in rows.unbind(0)]
-        return torch.stack(losses) if losses else torch.empty(0)
-
-    def _take_step(self, batch: TensorDictBase) -> Tensor:
-        config = self.config
-        torch._foreach_zero_(self.gradients)
-        loss: Tensor = self.compute_loss(batch)["loss"]
-        loss.backward()
-        if config.optimizer.max_gradient_norm is not None:
-            clip_grad_norm_(self.joined, config.optimizer.max_gradient_norm, foreach=True)
-        self.optimizer.step()
-        self.counters["updates"] += 1
-        if int(self.counters["updates"]) % config.loss.target_interval == 0:
-            self.target_updater.step()
-        return loss.detach()
+                rows = send(rows, self.algorithm.device)
+            for batch in rows.unbind(0):
+                self.counters["updates"] += 1
+                found = self.algorithm.take_step(batch, int(self.counters["updates"]))
+                for name, loss in found.items():
+                    losses[name].append(loss)
+            left -= len(rows)
+        return {name: torch.stack(values) for name, values in losses.items()}
 
     def learn(self, batch: TensorDictBase) -> None:
         """Store a collected batch, make the updates that are due, log both."""
         with self.timed("storing"):
             transitions = live_transitions(batch, self.group)
-            on_device = self.config.replay.storage == "memory"
-            self.replay.extend(send(transitions, self.device) if on_device else transitions)
+            if self.config.replay.storage == "memory":
+                self.replay.extend(send(transitions, self.algorithm.device))
+            else:
+                self.replay.extend(transitions)
             self.counters["transitions"] += len(transitions)
         with self.timed("learning"):
             config = self.config
@@ -298,14 +218,14 @@ class Learner:
         with self.timed("logging"):
             self.log(batch, losses)
 
-    def log(self, batch: TensorDictBase, losses: Tensor) -> None:
+    def log(self, batch: TensorDictBase, losses: Mapping[str, Tensor]) -> None:
         """One row of metrics, one for every maneuver that ended."""
         returns, outcomes = finished_maneuvers(batch, self.group)
+        means = {name: float(np.mean(values.tolist())) for name, values in losses.items()}
+        learned = {**self.algorithm.schedules(), **means}
         row = {
             "updates": int(self.counters["updates"]),
-            "stage": 1 if self.network.mu_frozen else 2,
-            "loss": float(np.mean(losses.tolist())) if len(losses) else "",
-            "sigma": float(self.noise.sigma),
+            **{name: learned.get(name, "") for name in self.algorithm.columns},
             "num_ended": len(returns),
             "mean_return": float(returns.mean()) if len(returns) else "",
         }
@@ -321,9 +241,10 @@ class Learner:
     def save_model(self, name: str, evaluate_model: EvaluateModel) -> None:
         """Write the policy and what it achieves."""
         path = self.run.checkpoints / name
-        save_checkpoint(path, self.network, self.env.scenario.name, self.transitions)
-        summary = evaluate_model(self.network)
-        row = [summary[key] for key in self.evaluated]
+        network = self.algorithm.network
+        save_checkpoint(path, network, self.env.scenario.name, self.transitions)
+        summary = evaluate_model(network)
+        row = [summary[key] for key in self.config.evaluation.metrics]
         self.run.evaluations.append(
             (self.transitions, name, *("" if value is None else value for value in row))
         )
@@ -362,7 +283,7 @@ class Learner:
             while self.transitions < total and not interrupted:
                 before = self.transitions
                 with self.timed("training"):
-                    self.anneal()
+                    self.algorithm.anneal(self.transitions)
                     self.learn(self.collect())
                     bar.update(self.transitions - before)
                 is_last = self.transitions >= total and criterion is not None

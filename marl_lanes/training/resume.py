@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import nn
 
+from marl_lanes.files import write_atomically
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.collectors import TrafficCollector
-from marl_lanes.training.files import write_atomically
 from marl_lanes.training.replay import Replay
 
 _FORMAT = "marl-lanes training state 5"

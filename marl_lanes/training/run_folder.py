@@ -8,8 +8,8 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from marl_lanes.training.config import CONFIG_FILE, ConfigError
-from marl_lanes.training.files import copy_file, write_atomically, write_json
+from marl_lanes.files import copy_file, write_atomically, write_json
+from marl_lanes.training.config import CONFIG_FILE, EVALUATED, ConfigError
 
 Value = float | int | str
 
@@ -30,18 +30,6 @@ EVALUATIONS_FILE = "evaluations.csv"
 
 CHOICE_FILE = "choice.json"
 """File name of what the saved models are worth by the criterion, and of the best."""
-
-EVALUATED = (
-    "success_rate",
-    "completion_rate",
-    "mean_episode_reward",
-    "mean_return",
-    "mean_num_steps",
-    "lost_after_rate",
-    "collided_after_rate",
-    "left_lane_after_rate",
-)
-"""The metrics of each saved model that go into its table."""
 
 
 class Table:
@@ -97,6 +85,7 @@ class RunFolder:
 
     Args:
         path: the folder; made when missing.
+        learned: what the algorithm tells of itself, columns of the table of metrics.
         until: None for a new run, which needs an empty folder; for one that is resumed, the
             transitions of its checkpoint, beyond which the logs are cut off.
         evaluated: the metrics in the table of the saved models.
@@ -106,7 +95,12 @@ class RunFolder:
     """
 
     def __init__(
-        self, path: Path, *, until: int | None = None, evaluated: Sequence[str] = EVALUATED
+        self,
+        path: Path,
+        learned: Sequence[str],
+        *,
+        until: int | None = None,
+        evaluated: Sequence[str] = EVALUATED,
     ) -> None:
         self.path = path
         if until is None:
@@ -114,7 +108,7 @@ class RunFolder:
         self.checkpoints.mkdir(parents=True, exist_ok=True)
         self.metrics = Table(
             path / "metrics.csv",
-            ("transitions", "updates", "stage", "loss", "sigma", "num_ended", "mean_return"),
+            ("transitions", "updates", *learned, "num_ended", "mean_return"),
             until=until,
         )
         self.maneuvers = Table(

@@ -7,7 +7,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
-from marl_lanes.envs.batched import GROUP
+from marl_lanes.traffic.roles.changer import CHANGER
 
 CPU = torch.device("cpu")
 
@@ -24,7 +24,7 @@ def send(rows: Rows, device: torch.device) -> Rows:
     return rows.pin_memory().to(device, non_blocking=True)
 
 
-def live_transitions(batch: TensorDictBase, group: str = GROUP) -> TensorDict:
+def live_transitions(batch: TensorDictBase, group: str = CHANGER.group) -> TensorDict:
     """The transitions of the agents that acted, one row each, for a replay buffer.
 
     Rows are those in which the agent was ``acting``: its action had an effect. ``terminated`` and
@@ -52,7 +52,7 @@ def live_transitions(batch: TensorDictBase, group: str = GROUP) -> TensorDict:
         for key in ("observation", "reward", "done", "terminated", "truncated")
     }
     is_over = ~after["acting"][acting].unsqueeze(-1)
-    if group == GROUP:
+    if group == CHANGER.group:
         rows["is_aborting"] = now["aborting"][acting]
         # Missed, and the horizon: the road ends, and not the attempt.
         is_over &= ~following["truncated"]
@@ -62,11 +62,11 @@ def live_transitions(batch: TensorDictBase, group: str = GROUP) -> TensorDict:
     return TensorDict({**rows, "next": TensorDict(following, size)}, size, device=batch.device)
 
 
-def finished_maneuvers(batch: TensorDictBase, group: str = GROUP) -> tuple[Tensor, Tensor]:
+def finished_maneuvers(batch: TensorDictBase, group: str = CHANGER.group) -> tuple[Tensor, Tensor]:
     """The agent's return and the outcome of every command that ended in the batch, (N,) each."""
     after = batch["next", group]
     ended = after["done"].squeeze(-1)
-    outcome = batch["next", GROUP, "outcome"]
+    outcome = batch["next", CHANGER.group, "outcome"]
     return after["episode_reward"].squeeze(-1)[ended], outcome[ended]
 
 
@@ -81,7 +81,12 @@ class LivePolicy(TensorDictModuleBase):
     """
 
     def __init__(
-        self, policy: nn.Module, action_dim: int, group: str = GROUP, *, device: torch.device = CPU
+        self,
+        policy: nn.Module,
+        action_dim: int,
+        group: str = CHANGER.group,
+        *,
+        device: torch.device = CPU,
     ) -> None:
         super().__init__()
         self.policy = policy

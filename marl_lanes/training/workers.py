@@ -23,10 +23,9 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import MultiCollector
-from torchrl.weight_update import SharedMemWeightSyncScheme
 
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.scenario import Scenario
@@ -164,7 +163,6 @@ class ProcessCollector(Workers):
         super().__init__(policy, num_workers)
         self._dead: dict[int, int] = {}
         self._watcher: threading.Thread | None = None
-        self._scheme = SharedMemWeightSyncScheme()
         # MultiCollector takes threads away from torch, here and when it ends.
         self._num_threads = torch.get_num_threads()
         self._collector = MultiCollector(
@@ -176,7 +174,6 @@ class ProcessCollector(Workers):
             num_threads=self._num_threads,
             cat_results="stack",
             init_fn=ignore_interruptions,
-            weight_sync_schemes={"policy": self._scheme},
             auto_register_policy_transforms=False,
         )
         # Python waits at its end for processes that nobody has ended.
@@ -190,6 +187,14 @@ class ProcessCollector(Workers):
     def process_ids(self) -> list[int]:
         """Of the workers."""
         return [process.pid for process in self._processes]
+
+    def send_policy(self) -> None:
+        """Copy parameters and buffers of the policy, in one block of memory.
+
+        TorchRL's own way waits for ever for the answer of a worker that has died; this one ends.
+        """
+        policy = TensorDict.from_module(self.policy).data.consolidate()
+        self._collector.map_fn("update_policy_weights_", [(policy,)] * self.num_workers)
 
     def shutdown(self) -> None:
         """End the processes."""
@@ -205,8 +210,6 @@ class ProcessCollector(Workers):
             if sentinels[index] in ended:
                 process.join()
                 self._dead[index] = process.exitcode
-                # Whoever waits for it to have taken the policy would wait for ever.
-                self._scheme._ack_queues[index].put("updated")
 
     def _find_dead(self, error: Exception) -> dict[int, str]:  # noqa: ARG002
         # None while TorchRL starts them: its message says which it was.

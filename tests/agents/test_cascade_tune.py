@@ -54,7 +54,7 @@ def test_it_finds_constants_no_dearer_than_the_present_ones(run, tmp_path):
         (["--scenario", "nowhere"], "no such scenario", 1),
         (["--roads", "0"], "--roads 0: must be at least 1", 2),
         (["--seconds", "inf"], "--seconds inf: must be above 0 and finite", 2),
-        (["--seconds", "0.5"], "seconds = 0.5: must be longer, no command .* ended on 2 roads", 1),
+        (["--seconds", "0.5"], "seconds = 0.5: must be longer; no command .* ended on 2 roads", 1),
         (["--seed", "-1"], "--seed -1: must be at least 0", 2),
     ],
 )

@@ -1,11 +1,11 @@
 """The training program: its run folder, interruption, repetition, and what it refuses."""
 
 import csv
-import dataclasses
 import json
 import re
 import signal
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,25 +16,24 @@ from naf_program import (
     TINY,
     assert_same_weights,
     prepare,
-    run_here,
     run_program,
     start,
     weights,
 )
 from omegaconf import OmegaConf
-from programs import BUSY, compose_config, load_program
+from programs import BUSY, load_program, run_main
 
-from marl_lanes import load_scenario
+from marl_lanes import ScenarioError, experiment, load_scenario
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
-    make_follower_network,
     make_network,
     save_checkpoint,
 )
-from marl_lanes.training.config import TrainingConfig, read_config, write_config
+from marl_lanes.training.config import write_config
 
 pytestmark = pytest.mark.training
 PAPER = load_scenario("paper")
@@ -60,7 +59,7 @@ def program():
 def whole(program, tmp_path_factory):
     """An uninterrupted run, and what it prints."""
     folder = prepare(tmp_path_factory.mktemp("whole"))
-    out, _ = run_here(program, *TINY, "output=run", folder=folder)
+    out, _ = run_main(program, folder, *TINY, "output=run")
     return folder / "run", out
 
 
@@ -127,7 +126,7 @@ def test_the_evaluation(whole):
         "missed_rate",
         "off_road_rate",
     }
-    wanted |= {"mean_return", "mean_return_acceleration", "mean_return_yaw_rate"}
+    wanted |= {"mean_return", "mean_return_yaw_acceleration", "mean_return_yaw_rate"}
     wanted |= {"mean_return_deviation", "mean_optimal_return", "cost_ratio", "mean_duration"}
     assert wanted < set(result)
     assert set(result) == {"scenario", "policy", "seed", *all_keys()}
@@ -184,7 +183,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_pa
     assert (run / "resume.pt").exists()
     total = len(rows(reference / "metrics.csv"))
     assert 3 <= len(rows(run / "metrics.csv")) < total
-    run_here(program, "resume=run", folder=tmp_path)
+    run_main(program, tmp_path, "resume=run")
     assert_same_weights(weights(reference), weights(run))
     for name in ("metrics.csv", "maneuvers.csv", "evaluations.csv", "evaluation.json"):
         assert (run / name).read_bytes() == (reference / name).read_bytes(), name
@@ -194,7 +193,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_pa
 def test_the_papers_recipe(program, whole, tmp_path):
     reference, _ = whole
     options = ["recipe=paper", "loss.target_interval=100", "seed=1", "output=paper"]
-    run_here(program, *TINY, *options, folder=prepare(tmp_path))
+    run_main(program, prepare(tmp_path), *TINY, *options)
     run = tmp_path / "paper"
     assert OmegaConf.load(run / "config.yaml").loss.gamma == 0.95
     assert OmegaConf.load(run / "config.yaml").collector.num_envs == 8
@@ -207,15 +206,16 @@ def test_an_existing_run_is_refused(program, whole):
     run, _ = whole
     before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
     with pytest.raises(SystemExit) as caught:
-        run_here(program, *TINY, "output=run", folder=run.parent)
+        run_main(program, run.parent, *TINY, "output=run")
     assert caught.value.code.startswith("error: output = 'run': must be a new or empty folder")
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
 
 
 def test_an_unknown_key_is_one_error_and_no_folder(tmp_path):
-    code, out, err = run_program(*TINY, "nonsense=3", "output=run", folder=prepare(tmp_path))
+    option = "optimizer.lerning_rate=1"
+    code, out, err = run_program(*TINY, option, "output=run", folder=prepare(tmp_path))
     assert code != 0
-    assert "nonsense" in err
+    assert "lerning_rate" in err
     assert "Traceback" not in err
     assert out == ""
     assert len(err.strip().splitlines()) <= 8
@@ -224,7 +224,7 @@ def test_an_unknown_key_is_one_error_and_no_folder(tmp_path):
 
 def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, capsys):
     with pytest.raises(SystemExit) as caught:
-        run_here(program, *TINY, "network.mu=foo", "output=run", folder=prepare(tmp_path))
+        run_main(program, prepare(tmp_path), *TINY, "network.mu=foo", "output=run")
     assert caught.value.code.startswith("error: ")
     assert "foo" in caught.value.code
     assert len(caught.value.code.splitlines()) == 1
@@ -232,16 +232,21 @@ def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
-def given(*options):
-    """What hydra makes of the tiny budget and the options."""
-    return compose_config(PROGRAM, *TINY, "output=run", *options)
+def begin(program, config):
+    """A learner, as the program makes it."""
+    return experiment.start(config, partial(program.make_algorithm, config))[0]
+
+
+def read(program, *options):
+    """What the program makes of the tiny budget and the options."""
+    return program.read([*TINY, "output=run", *options])
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["scenario=nope"], "scenario 'nope': no such scenario"),
-        (["seed=-1"], "seed = -1: must be at least 0"),
+        (["seed=-1"], "seed = -1: must be greater than or equal to 0"),
         (["+training_overrides.road.lanes=3"], "road.lanes: unknown key"),
         (["network.mu=foo"], "foo"),
         (["resume=absent"], "resume = 'absent'"),
@@ -250,19 +255,19 @@ def given(*options):
 def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(prepare(tmp_path))
     with pytest.raises(ValueError, match="(?i)" + message.replace("(", r"\(")) as caught:
-        program.start(read_config(given(*options), TrainingConfig))
+        begin(program, read(program, *options))
     assert len(str(caught.value).splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
 def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    config = program.read(given("collector=ray", "num_workers=2", "ray.address=10.0.0.1:1"))
+    config = read(program, "collector=ray", "num_workers=2", "ray.address=10.0.0.1:1")
     assert config.ray.address == "10.0.0.1:1"
     write_config(tmp_path / "run" / "config.yaml", config)
-    again = program.read(given("resume=run", "ray.address=10.0.0.2:2", "num_workers=7"))
+    again = read(program, "resume=run", "ray.address=10.0.0.2:2", "num_workers=7")
     assert (again.ray.address, again.num_workers) == ("10.0.0.2:2", 2)
-    assert program.read(given("resume=run")).ray.address == "10.0.0.1:1"
+    assert read(program, "resume=run").ray.address == "10.0.0.1:1"
 
 
 @collector_warnings
@@ -270,21 +275,22 @@ def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path,
     run, _ = whole
     monkeypatch.chdir(prepare(tmp_path))
     initial = run / "checkpoints" / "final.pt"
-    config = read_config(given(f"initial_checkpoint={initial}"), TrainingConfig)
-    learner, _ = program.start(config)
+    config = read(program, f"initial_checkpoint={initial}")
+    learner = begin(program, config)
     assert learner.transitions == 0
-    assert_same_weights(weights(run), learner.network.state_dict())
+    assert_same_weights(weights(run), learner.algorithm.network.state_dict())
     # The target network starts there as well.
     observation = torch.randn(5, 6)
-    with learner.loss.target_value_network_params.to_module(learner.loss.value_network):
-        target = learner.loss.value_network.max_value(observation)
-    assert torch.equal(target, learner.network.max_value(observation))
+    with learner.algorithm.loss.target_value_network_params.to_module(
+        learner.algorithm.loss.value_network
+    ):
+        target = learner.algorithm.loss.value_network.max_value(observation)
+    assert torch.equal(target, learner.algorithm.network.max_value(observation))
     learner.close()
     # What is resumed has weights of its own, and does not need the file again.
-    initial = "gone.pt"
-    config = dataclasses.replace(config, initial_checkpoint=initial, resume="run")
-    learner, _ = program.start(config)
-    assert_same_weights(weights(run), learner.network.state_dict())
+    config = config.model_copy(update={"initial_checkpoint": "gone.pt", "resume": "run"})
+    learner = begin(program, config)
+    assert_same_weights(weights(run), learner.algorithm.network.state_dict())
     learner.close()
 
 
@@ -292,7 +298,10 @@ def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path,
     ("network", "message"),
     [
         (None, r"i\.pt: cannot be read"),
-        (make_follower_network(PAPER, [8]), r"i\.pt: its features .* changers of .* 'busy'"),
+        (
+            make_network(PAPER, "mlp", [8], role=FOLLOWER),
+            r"i\.pt: its features .* changers of .* 'busy'",
+        ),
         (make_network(PAPER, "damped", [8]), r"network\.mu = 'cascade': must be 'damped'.*i\.pt"),
         (make_network(PAPER, "cascade", [9]), r"network\.hidden_sizes = \[8\]: must be \[9\]"),
     ],
@@ -304,7 +313,7 @@ def test_an_initial_checkpoint_that_does_not_fit(program, tmp_path, monkeypatch,
         save_checkpoint(tmp_path / "i.pt", network, "paper", 3)
     before = set(tmp_path.iterdir())
     with pytest.raises(ValueError, match=message):
-        program.start(read_config(given("initial_checkpoint=i.pt"), TrainingConfig))
+        begin(program, read(program, "initial_checkpoint=i.pt"))
     assert set(tmp_path.iterdir()) == before
 
 
@@ -317,17 +326,33 @@ def test_a_scenario_with_two_actions_has_its_recipe(program, tmp_path, monkeypat
         ["seed=1", "scenario='two.yaml'"],
         ["scenario=two.yaml"],
     ):
-        assert program.choose_recipe(named) == ["recipe=interactive"]
+        assert program.read(named).recipe == "interactive"
     for named in (
         [],
-        ["--help"],
         ["seed=1"],
         ["scenario=lateral_only"],
         ["scenario=one.yaml"],
-        ["scenario=absent"],
         ["recipe=fast", "scenario=interactive"],
     ):
-        assert program.choose_recipe(named) == []
+        assert program.read(named).recipe == "fast"
+    for named, scenario in (("scenario=absent", "absent"), ("scenario=3", "3"), ("~scenario", "")):
+        with pytest.raises(ScenarioError, match=f"scenario '{scenario}.*': no such scenario"):
+            program.read([named])
+
+
+def test_the_command_line_explains_itself(program, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for arguments in (["--help"], ["seed=3", "--cfg", "job", "scenario=interactive"]):
+        with pytest.raises(SystemExit) as caught:
+            program.main(arguments)
+        assert caught.value.code in {0, None}
+    out = capsys.readouterr().out
+    usage, _, composed = out.partition("scenario: interactive\n")
+    assert "python agents/naf/train.py" in usage
+    assert "  optimizer.mu_learning_rate: step size of mu" in usage
+    assert "seed: 3\n" in composed
+    assert "recipe: interactive\n" in composed
+    assert list(tmp_path.iterdir()) == []
 
 
 INTERACTIVE = """

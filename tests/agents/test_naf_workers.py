@@ -14,11 +14,10 @@ from naf_program import (
     TINY,
     assert_same_weights,
     prepare,
-    run_here,
     start,
     weights,
 )
-from programs import load_program
+from programs import load_program, run_main
 
 from marl_lanes.training.resume import read_state
 
@@ -37,7 +36,7 @@ def program():
 def reference(program, tmp_path_factory):
     """A run with two processes."""
     folder = prepare(tmp_path_factory.mktemp("multi"))
-    _, err = run_here(program, *OPTIONS, "collector=multi", folder=folder)
+    _, err = run_main(program, folder, *OPTIONS, "collector=multi")
     return folder / "run", err
 
 
@@ -92,7 +91,7 @@ def test_interruptions_and_deaths_change_nothing(program, reference, tmp_path):
 
     killed = kill_a_worker(run, after=2)
     with pytest.raises(SystemExit) as caught:
-        run_here(program, "resume=run", folder=tmp_path)
+        run_main(program, tmp_path, "resume=run")
     (pid,) = killed
     assert re.fullmatch(
         rf"error: died: worker \d of 2 \(process {pid} on .*\) by SIGKILL; "
@@ -102,7 +101,7 @@ def test_interruptions_and_deaths_change_nothing(program, reference, tmp_path):
     assert not (run / "checkpoints" / "final.pt").exists()
     assert 0 < read_state(run / "resume.pt")["counters"]["transitions"] < 300
 
-    run_here(program, "resume=run", folder=tmp_path)
+    run_main(program, tmp_path, "resume=run")
     assert_same_run(reference_run, run)
 
 
@@ -113,6 +112,6 @@ def test_interruptions_and_deaths_change_nothing(program, reference, tmp_path):
 def test_a_ray_cluster_of_two_nodes_makes_the_same_run(program, reference, two_nodes, tmp_path):
     run, _ = reference
     options = (*OPTIONS, "collector=ray", f"ray.address={two_nodes}")
-    _, err = run_here(program, *options, folder=prepare(tmp_path))
+    _, err = run_main(program, prepare(tmp_path), *options)
     assert len(set(worker_ids(err))) == 2
     assert_same_run(run, tmp_path / "run")

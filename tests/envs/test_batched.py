@@ -24,7 +24,7 @@ BUSY = {
 SHORT = {"num_agents": 2, "departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
 LONG = 100_000
 PLAIN = {"track_traj_ids": False, "auto_register_policy_transforms": False}
-"""A collector that keeps no trajectory ids: agents end, and slots change hands, inside a road."""
+"""A collector without trajectory ids: agents end, and slots get new agents, within a road."""
 
 collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
@@ -40,7 +40,7 @@ def _steer(observation):
 
 
 def _steer_badly(observation):
-    """The same at most speeds, full to one side at the others."""
+    """The same at most speeds, the largest action to one side at the others."""
     return torch.where(observation[..., :1] % 5.0 < 2.0, 0.5, _steer(observation))
 
 
@@ -119,12 +119,12 @@ def test_a_partial_reset_leaves_the_other_roads_alone():
     after = env.reset(asked)
     assert [road_bytes(env, road) == before[road] for road in range(3)] == [True, False, True]
     kept = torch.tensor([0, 2])
-    for key in ("observation", "mask", "engaged", "episode_reward", "outcome"):
+    for key in ("observation", "mask", "steering", "episode_reward", "outcome"):
         assert torch.equal(after["changers", key][kept], last["changers", key][kept])
     assert env.simulator.roads["step"].tolist() == [60, 0, 60]
     assert not after["changers", "outcome"][1].any()
     assert not after["changers", "episode_reward"][1].any()
-    # The other roads go on as on a twin that was not reset.
+    # The other roads continue like those of an equal environment without the reset.
     ahead = env.rollout(100, steer, auto_reset=False, tensordict=after, break_when_any_done=False)
     there = twin.rollout(
         100,
@@ -158,7 +158,7 @@ def test_slots_serve_one_command_after_the_other(busy):
     assert not (done & after).any()
     assert torch.equal(mask & ~done, mask & after)
     assert torch.equal(mask[:, 1:], after[:, :-1])
-    # A pulse: the slot is absent, and its flags are down, in the step after an end.
+    # In the step after an end the slot is absent and its flags are False.
     assert not (done[:, 1:] & done[:, :-1]).any()
     assert not (after[:, :-1] & done[:, :-1]).any()
     assert done.sum(1).min() >= 2
@@ -171,9 +171,9 @@ def test_absent_slots_are_zero_and_the_ended_keep_their_last_features(busy):
     done = after["done"].squeeze(-1)
     is_there = after["mask"] | done
     assert not after["observation"][~is_there].any()
-    # Speeds are never 0 on this road: a live agent sees something.
+    # Speeds are never 0 on this road, so a live agent's observation is not zero.
     assert (after["observation"][is_there][:, 0] > 0.0).all()
-    for key in ("engaged", "outcome"):
+    for key in ("steering", "outcome"):
         assert not group[key][~mask & ~(group["outcome"] > 0)].any()
         assert not after[key][~is_there].any()
     assert not after["reward"][~mask].any()
@@ -182,7 +182,7 @@ def test_absent_slots_are_zero_and_the_ended_keep_their_last_features(busy):
 
 
 def test_only_steering_agents_are_rewarded(busy):
-    engaged, mask = busy["changers", "engaged"], busy["changers", "mask"]
+    engaged, mask = busy["changers", "steering"], busy["changers", "mask"]
     reward = busy["next", "changers", "reward"].squeeze(-1)
     outcome = busy["next", "changers", "outcome"]
     assert (engaged <= mask).all()
@@ -224,8 +224,8 @@ def test_a_missed_command_is_truncated():
     assert after["outcome"][ends].tolist() == [Outcome.MISSED] * 2
     assert after["truncated"][ends].all()
     assert not after["terminated"].any()
-    assert not steps["changers", "engaged"].any()
-    # The road's episode is over because its commands are.
+    assert not steps["changers", "steering"].any()
+    # The road's episode is over because all its commands are finished.
     assert bool(steps["next", "terminated"][0, -1])
     assert not steps["next", "truncated"].any()
 
@@ -274,7 +274,7 @@ def test_a_collector_resets_each_road_at_its_end():
     ends = steps["next", "changers", "done"].squeeze(-1).cumsum(1).sum(2)
     assert torch.equal(ends[done] % 2, torch.zeros_like(ends[done]))
     assert torch.isin(ends[:, -1] - 2 * done.sum(1), torch.tensor([0, 1])).all()
-    # After an end the road starts anew; elsewhere it goes on.
+    # After an end the road starts again; the others continue.
     assert (steps["next", "changers", "outcome"][done] > 0).any(1).all()
     assert not steps["changers", "outcome"][:, 1:][done[:, :-1]].any()
     assert torch.equal(mask[:, 1:][~done[:, :-1]], after[:, :-1][~done[:, :-1]])
@@ -308,7 +308,7 @@ def test_returned_tensors_are_nobody_elses():
     assert copies[-1]["changers", "mask"].any()
     for frame, saved in zip(frames, copies, strict=True):
         assert_equal(frame, saved)
-    # Writing over what came back changes neither the road nor later frames.
+    # Overwriting the returned tensors changes neither the road nor later frames.
     for saved in copies:
         after = twin.step(steer(same))["next"]
         assert_equal(after, saved)
@@ -330,7 +330,7 @@ def test_a_copy_goes_on_by_itself(duplicate):
     ahead = go_on(twin)
     assert env.simulator.state.tobytes() == frozen
     assert_equal(ahead, go_on(env))
-    assert ahead["next", "changers", "engaged"].any()
+    assert ahead["next", "changers", "steering"].any()
 
 
 def test_what_cannot_be_is_refused():
@@ -356,7 +356,7 @@ def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
     twin.reset()
     steering = torch.zeros(1, 3, 1, dtype=torch.bool)
     while not steering.any() or steering.all():
-        steering = step(env, torch.zeros(1, 3, 1))["changers", "engaged"].unsqueeze(-1)
+        steering = step(env, torch.zeros(1, 3, 1))["changers", "steering"].unsqueeze(-1)
         step(twin, torch.zeros(1, 3, 1))
     after = step(env, torch.where(steering, 9.0, float("nan")))
     assert_equal(after, step(twin, torch.where(steering, 0.5, -0.5)))
@@ -366,7 +366,7 @@ def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
 
 def test_tensors_are_made_where_the_environment_is(monkeypatch):
     env = LaneChangeEnv("paper", 2)
-    # Its specs cannot be made there.
+    # The specs cannot be made on this device.
     monkeypatch.setattr(LaneChangeEnv, "device", torch.device("meta"))
     elsewhere = env._reset()
     assert elsewhere.device == elsewhere["changers"].device == torch.device("meta")
@@ -380,8 +380,9 @@ def test_torchrl_checks_the_types_where_it_is_asked_to(monkeypatch):
     read_out = env._read_out
 
     def read_out_wrongly():
-        columns = read_out()
-        return columns._replace(reward=columns.reward.astype("f8"))
+        groups = read_out()
+        groups["changers"]["reward"] = groups["changers"]["reward"].astype("f8")
+        return groups
 
     monkeypatch.setattr(env, "_read_out", read_out_wrongly)
     with pytest.raises(TypeError, match="dtype"):

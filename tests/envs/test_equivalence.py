@@ -17,7 +17,7 @@ KEYS = ("observation", "reward", "terminated", "truncated")
 
 
 def steer(observation):
-    """Feedback at most speeds, full to one side at the others, so that some commands fail."""
+    """Feedback at most speeds, the largest action at the others, so that some commands fail."""
     speed, _, deviation, yaw, yaw_rate, curvature = observation.tolist()
     if speed % 5.0 < 2.0:
         return np.float32(0.5)
@@ -26,7 +26,7 @@ def steer(observation):
 
 
 class Roads:
-    """The TorchRL environment, seen on road 0 as PettingZoo shows it."""
+    """Road 0 of the TorchRL environment in the form of the PettingZoo environment."""
 
     def __init__(self, scenario, num_envs, overrides):
         self.env = LaneChangeEnv(scenario, num_envs, overrides=overrides)
@@ -40,7 +40,7 @@ class Roads:
         return self.live("observation")
 
     def skip(self):
-        """Step until an agent is live on road 0; the other roads are steered all along."""
+        """Step until an agent is live on road 0; agents on the other roads steer in every step."""
         while not self.is_over and not self.current["changers", "mask"][0].any():
             self.advance()
 
@@ -65,7 +65,7 @@ class Roads:
         return {self.serial(slot): self.current["changers", key][0, slot].numpy() for slot in slots}
 
     def step(self):
-        """What road 0 did until an agent is live again, by PettingZoo's names."""
+        """The results of road 0 until an agent is live again, with PettingZoo's names."""
         ended = self.advance()
         parts = {key: self.live(key, ended) for key in KEYS}
         if not self.is_over and not self.current["changers", "mask"][0].any():

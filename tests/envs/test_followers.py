@@ -14,8 +14,8 @@ from marl_lanes.envs.followers import find_policies
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
-from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
-from marl_lanes.training.checkpoint import make_follower_network, make_network, save_checkpoint
+from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.training.checkpoint import make_network, save_checkpoint
 
 torch.set_num_threads(1)
 
@@ -92,7 +92,7 @@ def test_it_passes_torchrls_spec_check(scenario, num_envs):
     slots = roads.scenario.num_slots
     assert list(roads.group_map) == ["changers", "followers"]
     assert roads.action_spec["followers", "action"].shape == (num_envs, slots, 1)
-    shape = (num_envs, slots, len(FOLLOWER_FEATURES))
+    shape = (num_envs, slots, len(FOLLOWER.features))
     assert roads.observation_spec["followers", "observation"].shape == shape
     assert roads.action_spec["followers", "action"].space.low.unique().item() == -3.0
     assert roads.action_spec["followers", "action"].space.high.unique().item() == 3.0
@@ -112,7 +112,7 @@ def test_it_runs_in_torchrls_wrapper():
     assert (steps["follower", "mask"] == steps["changer", "mask"]).all()
     ends = steps["next", "follower", "done"] & steps["follower", "mask"].unsqueeze(-1)
     assert ends.flatten(1).sum(0).tolist() == [1] * 3
-    assert steps["follower", "observation"].shape[1:] == (3, len(FOLLOWER_FEATURES))
+    assert steps["follower", "observation"].shape[1:] == (3, len(FOLLOWER.features))
 
 
 @pytest.mark.parametrize("scenario", ["paper", "dense"])
@@ -253,9 +253,9 @@ def test_the_masks_of_a_mix_of_learned_and_scripted_drivers():
     changers, followers = steps["changers"], steps["followers"]
     acting = followers["acting"]
     assert (followers["mask"] == changers["mask"]).all()
-    assert not (acting & ~changers["engaged"]).any()
-    assert 0.1 < acting.sum() / changers["engaged"].sum() < 0.9
-    assert (changers["acting"] == changers["engaged"]).all()
+    assert not (acting & ~changers["steering"]).any()
+    assert 0.1 < acting.sum() / changers["steering"].sum() < 0.9
+    assert (changers["acting"] == changers["steering"]).all()
     reward = steps["next", "followers", "reward"].squeeze(-1)
     assert not reward[~acting].any()
     assert reward[acting].all()
@@ -283,7 +283,7 @@ def saved(path, network):
 
 def test_a_saved_follower_drives(tmp_path):
     torch.manual_seed(1)
-    network = make_follower_network(load_scenario("dense"))
+    network = make_network(load_scenario("dense"), "mlp", role=FOLLOWER)
     overrides = {**FEW, **saved(tmp_path / "follower.pt", network)}
     scenario = load_scenario("dense", overrides)
     policy = find_policies(scenario)["learned"]
@@ -297,14 +297,14 @@ def test_a_saved_follower_drives(tmp_path):
         step = int(road.simulator.roads["step"][0])
         asked = policy(seen.copy()).tolist() if rows.size else []
         observations = road.step(actions_of(road, observations))[0]
-        # Where nobody is live it runs on, and the step's accelerations are gone.
+        # Without live agents it advances further, and the step's accelerations are lost.
         if int(road.simulator.roads["step"][0]) == step + 1:
             wanted += asked
             found += road.simulator.vehicles[0, cars]["acceleration"].tolist()
     assert len(found) > 20
     assert found == wanted
     assert len(set(found)) > 10
-    # A learner takes the place of the file, which is then not even read.
+    # With a learner the file is not read.
     (tmp_path / "follower.pt").unlink()
     learners(scenario)
     with pytest.raises(CheckpointError, match=r"follower\.pt"):
@@ -319,7 +319,7 @@ def test_a_checkpoint_of_another_kind_is_refused_by_its_name(tmp_path, form):
     with pytest.raises(CheckpointError, match=r"changer\.pt: its features are \['speed', 'accele"):
         form("paper", overrides=overrides)
     weak = load_scenario("paper", {"followers": {"external": {"max_braking": 2.0}}})
-    overrides = saved(tmp_path / "weak.pt", make_follower_network(weak))
+    overrides = saved(tmp_path / "weak.pt", make_network(weak, "mlp", role=FOLLOWER))
     with pytest.raises(CheckpointError, match=r"weak\.pt: its action bounds are .*\[-2\.0\].*-3"):
         form("paper", overrides=overrides)
     path.write_bytes(b"no checkpoint")

@@ -1,4 +1,4 @@
-"""The PettingZoo environment, held to PettingZoo's own tests and to whole episodes."""
+"""The PettingZoo environment: PettingZoo's own tests, and whole episodes."""
 
 import itertools
 import warnings
@@ -13,7 +13,7 @@ from marl_lanes.envs.parallel import STATE_COLUMNS
 from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
 
 with warnings.catch_warnings():
-    # Where pygame is installed, PettingZoo's tests import one of its games in a deprecated way.
+    # With pygame installed, PettingZoo's tests import one of its games in a deprecated way.
     warnings.filterwarnings("ignore", "The old environment creation API", DeprecationWarning)
     from pettingzoo.test import (
         api_test,
@@ -26,7 +26,7 @@ with warnings.catch_warnings():
 torch.set_num_threads(1)
 
 BUSY = {"departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
-TERMS = ("reward_acceleration", "reward_yaw_rate", "reward_deviation", "reward_failure")
+TERMS = ("reward_yaw_acceleration", "reward_yaw_rate", "reward_deviation", "reward_failure")
 TERMS += ("reward_delay", "reward_longitudinal")
 TERMINATING = {Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD}
 LONG = 100_000
@@ -56,7 +56,7 @@ POLICIES = {"steer": steer, "hold": hold}
 
 
 def play(road, policy=steer, **reset):
-    """Steps of an episode: the agents before each, and what the reset and the steps returned."""
+    """Steps of an episode: the agents before each step, and the results of reset and steps."""
     observations, infos = road.reset(**reset)
     empty = dict.fromkeys(observations, 0.0), dict.fromkeys(observations, False)
     frames = [([], observations, empty[0], empty[1], empty[1], infos)]
@@ -246,7 +246,7 @@ def test_a_bad_action_is_refused_by_the_agents_name(action, problem):
     (agent,) = road.agents
     with pytest.raises(ValueError, match=rf"actions\['{agent}'\].*{problem}"):
         road.step({agent: action})
-    # The refused step has changed nothing.
+    # The rejected step has changed nothing.
     fine = {agent: np.array([0.1], np.float32)}
     assert repr(road.step(fine)) == repr(twin.step(fine))
 
@@ -268,7 +268,7 @@ def test_actions_are_clipped_and_those_of_others_ignored():
     strays = {"changer_9": np.full(3, np.nan), "nobody": None}
     clipped = twin.step({agent: [0.5]})
     assert repr(road.step({agent: [1e30], **strays})) == repr(clipped)
-    assert clipped[4][agent]["reward_acceleration"] == -1.0
+    assert clipped[4][agent]["reward_yaw_acceleration"] == -1.0
 
 
 @pytest.mark.parametrize("scenario", list_scenarios())

@@ -1,4 +1,4 @@
-"""What becomes of completed vehicles: by hand, and of policies that settle or dive through."""
+"""Completed vehicles afterwards: staged by hand, and with policies that settle or do not."""
 
 import math
 from types import SimpleNamespace
@@ -24,7 +24,7 @@ FIVE = load_scenario("five_lanes", SHORT | {"completion": TOUCH})
 
 
 class Stage:
-    """One road of five lanes with cars that are where they are put, and a watch over the first."""
+    """One road of five lanes with cars at given places, and a watch of the first one."""
 
     def __init__(self, *, lane=2, direction=1, lanes=None, speed=20.0, yaw=0.0, fate=Fate.STAYS):
         self.simulator = SimpleNamespace(
@@ -74,7 +74,7 @@ def test_a_quiet_vehicle_is_watched_for_ten_seconds():
     found = stage.finish()
     assert (found.fate, found.is_good, found.has_left_lane) == (Fate.STAYS, True, False)
     assert found.watched_time == pytest.approx(10.0)
-    # A change to the right: what is to the left of the centre is short of it.
+    # A change to the right: left of the centre the deviation is negative.
     assert found.deviation == pytest.approx([0.0, *[-0.1] * 100])
     assert found.lateral_speed == pytest.approx(25.0 * math.sin(0.01))
     assert found.peak_deviation == pytest.approx(0.1)
@@ -93,7 +93,7 @@ def test_how_a_watch_can_end(fate, is_lost, has_collided, is_good):
     stage.step(0.05)
     stage.step(0.1, fate=fate)
     assert stage.watch.is_over
-    # Another vehicle takes the slot, and is none of our business.
+    # Another vehicle takes the slot; the watch ignores it.
     stage.car["id"], stage.car["fate"] = 8, Fate.STAYS
     stage.step(1.5, lanes=(1, 2))
     found = stage.finish()
@@ -146,9 +146,9 @@ def test_lane_keeping_may_be_told_another_lane(lane, away):
     found = stage.finish()
     assert found.is_good
     assert found.watched_time == pytest.approx(10.0)
-    # Deviations from the change's lane end with the order to leave it.
+    # The deviations end when lane keeping gets another lane.
     assert found.deviation == pytest.approx([0.0, 0.1])
-    # Not away from it to the other side.
+    # A lane on the other side is not allowed.
     stage = Stage()
     stage.step(-3.65 * away, lane=lane, lanes=(2, 2))
     stage.step(-5.0 * away, lane=lane, lanes=(min(2, 4 - lane), max(2, 4 - lane)))
@@ -197,14 +197,14 @@ def test_several_vehicles_are_told_apart():
 
 def test_nobody_has_completed_without_an_aftermath():
     rows = np.zeros(0, TRACE)
-    with pytest.raises(ValueError, match="aftermath = None: must be there"):
+    with pytest.raises(ValueError, match="aftermath = None: must be given"):
         Maneuver(0, 0, Outcome.COMPLETED, 0, 0, 0.0, 1.0, False, -2.0, rows)
     with pytest.raises(ValueError, match="is MISSED"):
         Maneuver(0, 0, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows, Aftermath(0.0))
 
 
 def dive(observations):
-    """Hold eight degrees of yaw toward the lane, whatever lies beyond it."""
+    """Hold eight degrees of yaw toward the lane and beyond it."""
     _, _, deviation, yaw, yaw_rate, _ = observations.astype(np.float64).T
     action = 20.0 * (0.14 * np.sign(deviation) - yaw) - 8.0 * yaw_rate
     return np.clip(action, -0.5, 0.5)[:, None]
@@ -223,7 +223,7 @@ def test_who_dives_through_the_lane_completes_and_does_not_succeed():
 
 
 def test_beyond_the_lane_there_may_be_another_one():
-    """On five lanes some do not leave the road, but their lane."""
+    """On five lanes some vehicles leave their lane, but not the road."""
     scenario = load_scenario(FIVE, {"departures": {"interval": [2.0, 4.0]}, "max_vehicles": 192})
     maneuvers = run_maneuvers(scenario, dive, 100, seed=0)
     found = evaluate(maneuvers, scenario, with_optimum=False)
@@ -246,7 +246,7 @@ def test_who_settles_succeeds():
 
 
 def test_the_watch_goes_on_when_the_episode_is_over():
-    """On every road, those that it was over on first too, and where the horizon cut it."""
+    """On all roads, also on those whose episode ends first or at the horizon."""
     scenario = load_scenario("paper", {"completion": SETTLED, "num_agents": 3, "horizon": 45.0})
     torch.manual_seed(0)
     policy = greedy_policy(make_network(scenario, "damped"))

@@ -1,4 +1,4 @@
-"""Cross-play: every pair on the same traffic, its statistics, and what is refused beforehand."""
+"""Cross-play: every pair on the same traffic, its statistics, and errors before the start."""
 
 import json
 
@@ -67,7 +67,7 @@ def test_every_pair_is_in_the_table(table):
 
 @pytest.mark.parametrize("follower", FOLLOWERS)
 def test_the_statistics_are_the_metrics(table, follower):
-    """Of the pair's own maneuvers, driven apart."""
+    """The statistics are those of the pair's maneuvers, simulated separately."""
     scenario = load_scenario(BUSY, {"followers": FOLLOWERS[follower]})
     maneuvers = run_maneuvers(scenario, changing, 60, seed=2)
     summary = evaluate(maneuvers, scenario, with_optimum=False)
@@ -83,7 +83,7 @@ def test_the_statistics_are_the_metrics(table, follower):
 
 
 def test_what_followers_do_shows_beyond_chance(table):
-    """One that keeps its lane waits for an abort, which the adversary brings about."""
+    """A changer that keeps its lane stays engaged until the adversary makes it abort."""
     kind, rude = (statistics(table, "keeping", name) for name in FOLLOWERS)
     assert kind["abort_rate"]["high"] < rude["abort_rate"]["low"]
     assert rude["abort_rate"]["value"] > 0.5
@@ -107,7 +107,7 @@ def test_one_abort_or_one_miss_counts_once(table):
 
 
 def test_all_pairs_meet_the_same_traffic():
-    """Until they act differently: the first command of a road comes in the same step."""
+    """Until they act differently, so the first command of a road is in the same step."""
     pairs = list(drive_pairs(changers(), FOLLOWERS, 10, seed=4))
     assert len(pairs) == 4
     first = [
@@ -136,7 +136,7 @@ def test_changers_may_have_scenarios_of_their_own():
 
 
 def test_a_given_follower_drives():
-    """Braking drivers behind every changer that is engaged."""
+    """Drivers that brake behind every engaged changer."""
     speeds = []
 
     def brake(observations):
@@ -168,8 +168,8 @@ def test_progress_rises_over_all_pairs():
     ("given", "followers", "number", "message"),
     [
         ({"x": (BUSY, never)}, FOLLOWERS, 0, "num_maneuvers = 0: must be at least 1"),
-        ({}, FOLLOWERS, 1, "changers: must hold at least one"),
-        ({"x": (BUSY, never)}, {}, 1, "followers: must hold at least one"),
+        ({}, FOLLOWERS, 1, "changers: must have at least one entry"),
+        ({"x": (BUSY, never)}, {}, 1, "followers: must have at least one entry"),
         ({"x": (BUSY, never)}, {**FOLLOWERS, "y": {"mix": {"unknown": 1.0}}}, 1, "unknown"),
         ({"x": (BUSY, never)}, {**FOLLOWERS, "y": {"mixture": {}}}, 1, "followers.mixture"),
         (

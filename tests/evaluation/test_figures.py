@@ -1,4 +1,4 @@
-"""The figures: what is drawn, and that every one is a picture."""
+"""The figures: their content, and that every file is an image."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ HEADS = {
 
 
 def make_run(path, num_maneuvers=300, *, is_empty=False):
-    """The tables of a run; a batch without an update, a model that completed nothing."""
+    """Tables of a run, with a batch without an update and a model that completed no maneuver."""
     rows = {
         "metrics.csv": "10,0,1,,0.05,0,\n20,5,1,0.5,0.05,1,-3.0\n30,9,2,0.25,0.04,1,-2.0\n",
         "maneuvers.csv": "".join(f"{i},{-3.0 - (i % 2)},1\n" for i in range(num_maneuvers)),
@@ -54,7 +54,7 @@ def lines(figure, panel=0):
 
 
 def stage_and_optimum(figure):
-    """Where the dotted vertical and the dashed horizontal line are."""
+    """Positions of the dotted vertical and the dashed horizontal line."""
     found = figure.axes[0].get_lines()
     stage = [line.get_xdata()[0] for line in found if line.get_linestyle() == ":"]
     optimum = [line.get_ydata()[0] for line in found if line.get_linestyle() == "--"]
@@ -177,7 +177,7 @@ def test_a_crossplay_is_four_heat_maps(tmp_path, drawn, time):
     assert {text.get_text() for text in aborted.texts} == {"25.0\n[20.0, 30.0]"}
     defined = time["value"] is not None
     assert {text.get_text() for text in took.texts} == {"5.50\n[5.25, 6.00]" if defined else "-"}
-    # Colours span what is usual at least: 1 % of collisions does not look like 100 %.
+    # The colour scale has a minimum range: 1 % of collisions must not look like 100 %.
     assert collided.get_images()[0].get_clim() == (0.0, 10.0)
     assert aborted.get_images()[0].get_clim() == (0.0, 25.0)
     assert success.get_images()[0].get_clim() == (0.0, 100.0)

@@ -1,4 +1,4 @@
-"""The gap over time: the same maneuver under every kind of follower."""
+"""The gap over time: the same maneuver with every kind of follower."""
 
 import json
 
@@ -19,7 +19,7 @@ BUSY = load_scenario(
         "departures": {"interval": [2.0, 4.0]},
         "command": {"probability": 1.0},
         "max_vehicles": 128,
-        # The rule that accepts narrow gaps: enough of those that are compared here.
+        # This rule accepts narrow gaps, so there are enough comparable engagements.
         "gap": {"rule": "kinematic"},
     },
 )
@@ -74,7 +74,7 @@ def test_no_attempt_without_an_engagement_or_a_follower():
 
 @pytest.fixture
 def staged(monkeypatch):
-    """Six maneuvers under two kinds of follower; both enter in the first one: at 31 m, at 28 m."""
+    """Six maneuvers with two kinds of follower; in the first one both enter, at 31 m and 28 m."""
     is_in = [False, True, True]
 
     def before(gap):
@@ -110,7 +110,7 @@ def test_what_is_shown_is_the_same_until_it_engages(staged):
     assert staged(1)["maneuver"] == 1
     # Another gap, another vehicle, another step, no engagement.
     for other in (0, 2, 3, 5):
-        with pytest.raises(ValueError, match=rf"maneuver = {other}: must .*, as do 1, 4$"):
+        with pytest.raises(ValueError, match=rf"maneuver = {other}: must .* that do: 1, 4$"):
             staged(other)
     kind, rude = (staged()["followers"][name]["shown"] for name in ("kind", "rude"))
     assert kind["gap"] == [25.0, 30.0, 31.0, 32.0]
@@ -164,14 +164,14 @@ def test_the_curves_are_those_of_the_trace(compared):
 
 
 def test_kind_followers_open_the_gap_and_rude_ones_close_it(compared):
-    """Of the same engagements; a mean over other ones, or unpaired, would not tell."""
+    """Over the same engagements; means over different ones would not be comparable."""
     kind, none, rude = (compared["followers"][name] for name in KINDS)
     assert 20 < compared["num_entered"] <= compared["num_compared"] < 100
     for key in ("gap_at_entry", "gap_change"):
         assert kind[key]["value"] > none[key]["value"] > rude[key]["value"]
         for found in (kind, none, rude):
             assert found[key]["low"] < found[key]["value"] < found[key]["high"]
-    # Maneuver by maneuver the difference is beyond chance, though the means' intervals overlap.
+    # The paired difference is significant, although the intervals of the means overlap.
     assert kind["gap_difference"] == {"value": 0.0, "low": 0.0, "high": 0.0}
     assert none["gap_difference"]["high"] < 0.0
     assert rude["gap_difference"]["high"] < none["gap_difference"]["low"]
@@ -199,7 +199,7 @@ def test_a_wanted_maneuver_is_shown(compared):
 
 
 def test_a_maneuver_that_differs_before_it_engages_is_refused():
-    """The last ones of a road come after what the followers of others did."""
+    """On a road the last maneuvers depend on what earlier followers did."""
     refused = {}
     for index in (7, 6, 5):
         try:
@@ -211,7 +211,7 @@ def test_a_maneuver_that_differs_before_it_engages_is_refused():
     assert len(refused) == 1
     for index, message in refused.items():
         assert message.startswith(f"maneuver = {index}: must engage with a vehicle behind")
-        assert " as do " in message
+        assert "; maneuvers that do: " in message
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def test_a_maneuver_that_differs_before_it_engages_is_refused():
         ((FOLLOWERS, 0), {}, "num_maneuvers = 0: must be at least 1"),
         ((FOLLOWERS, 5), {"maneuver": 5}, "maneuver = 5: must be 0 to 4"),
         ((FOLLOWERS, 5), {"maneuver": -1}, "maneuver = -1: must be 0 to 4"),
-        (({}, 5), {}, "followers: must hold at least one"),
+        (({}, 5), {}, "followers: must have at least one entry"),
         (({"x": {"mix": {"unknown": 1.0}}}, 5), {}, "unknown"),
     ],
 )

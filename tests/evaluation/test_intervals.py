@@ -13,10 +13,10 @@ def width(found):
 
 
 def test_two_groups_by_hand():
-    """Of the four equally likely resamples one has the mean 0 and one the mean 1."""
+    """Of four equally likely resamples one has mean 0 and one mean 1."""
     found = estimate_mean([0.0, 1.0], [7, 3], is_rate=True)
     assert found == Estimate(0.5, 0.0, 1.0)
-    # At 40 % coverage the tails of 30 % lie beyond them.
+    # With 40 % coverage the tails of 30 % are outside.
     assert estimate_mean([0.0, 1.0], [7, 3], is_rate=True, confidence=0.4) == Estimate(
         0.5, 0.5, 0.5
     )
@@ -45,7 +45,7 @@ def test_one_road_has_no_interval():
 @pytest.mark.parametrize("number", [1, 10, 1000])
 @pytest.mark.parametrize("confidence", [0.95, 0.99])
 def test_a_rate_of_0_or_1_has_the_exact_bound(number, confidence):
-    """(alpha/2)^(1/n), Clopper and Pearson; a bootstrap would claim certainty."""
+    """(alpha/2)^(1/n), Clopper and Pearson; a bootstrap interval would have no width."""
     reach = (0.5 * (1.0 - confidence)) ** (1.0 / number)
     roads = np.arange(number) // 10
     none = estimate_mean(np.zeros(number), roads, is_rate=True, confidence=confidence)
@@ -71,7 +71,7 @@ def test_independent_values_have_the_width_of_theory():
 
 
 def test_maneuvers_that_share_a_road_count_as_one():
-    """Ten equal values a road say no more than one; drawing maneuvers would claim sqrt(10) less."""
+    """Ten equal values per road count as one; resampling maneuvers gives sqrt(10) less width."""
     of_roads = np.random.default_rng(1).integers(0, 2, 60).astype(float)
     once = estimate_mean(of_roads, np.arange(60), is_rate=True)
     tenfold = estimate_mean(np.repeat(of_roads, 10), np.repeat(np.arange(60), 10), is_rate=True)
@@ -97,7 +97,7 @@ def test_it_is_the_plain_bootstrap():
 
 
 def test_it_covers_the_truth_as_often_as_it_says():
-    """Roads that differ in their mean, as traffic does; the truth is 0. About 94 % of 150 hit."""
+    """Roads differ in their mean, as in traffic; the true mean is 0. About 94 % of 150 cover it."""
     generator = np.random.default_rng(0)
     roads = np.repeat(np.arange(60), 5)
     hits = 0

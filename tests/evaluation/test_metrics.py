@@ -2,16 +2,20 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from traces import maneuver, trace
 
 from marl_lanes import load_scenario
+from marl_lanes.evaluation import optimum
 from marl_lanes.evaluation.aftermath import Aftermath
 from marl_lanes.evaluation.measures import measure
 from marl_lanes.evaluation.metrics import AVERAGES, HARD_BRAKING, evaluate, summarise
+from marl_lanes.evaluation.optimum import find_unminimised
 from marl_lanes.traffic.machine.state import Fate, Outcome, Phase
+from marl_lanes.traffic.roles.changer import CHANGER
 
 TOUCH = {"max_deviation": 0.2, "max_lateral_speed": None, "max_yaw_rate": None}
 PAPER = load_scenario("paper", {"completion": TOUCH})
@@ -23,13 +27,13 @@ def measured(count=3, outcome=Outcome.MISSED, changes=None, **columns):
 
 def test_returns_are_sums_of_the_terms():
     found = measured(
-        reward_acceleration=[-1.0, -0.5, 0.0],
+        reward_yaw_acceleration=[-1.0, -0.5, 0.0],
         reward_yaw_rate=[-0.25, 0.0, -0.25],
         reward_deviation=[-0.125, -0.125, -0.0625],
     )
-    assert found.return_acceleration == -1.5
-    assert found.return_yaw_rate == -0.5
-    assert found.return_deviation == -0.3125
+    assert found.returns["yaw_acceleration"] == -1.5
+    assert found.returns["yaw_rate"] == -0.5
+    assert found.returns["deviation"] == -0.3125
     assert found.return_ == -2.3125
     assert found.num_steps == 3
     assert found.duration == pytest.approx(0.3)
@@ -40,21 +44,21 @@ def test_peaks_are_relative_to_the_road():
     found = measured(
         speed=[10.0, 20.0, 30.0],
         yaw_rate=[0.05, -0.02, 0.03],
-        road_turn_rate=[0.02, 0.02, 0.02],
+        turning=[0.03, -0.04, 0.01],
         yaw_acceleration=[0.3, -0.45, 0.1],
     )
-    # Turning beyond the road's: 0.03, -0.04, 0.01; by the speed: 0.3, -0.8, 0.3 m/s^2.
+    # Yaw rate relative to the road: 0.03, -0.04, 0.01; times the speed: 0.3, -0.8, 0.3 m/s^2.
     assert found.peak_yaw_acceleration == 0.45
     assert found.peak_yaw_rate == pytest.approx(0.04)
     assert found.peak_lateral_acceleration == pytest.approx(0.8)
-    # With the road's: 10 * 0.05, 20 * -0.02, 30 * 0.03.
+    # With the road's turning: 10 * 0.05, 20 * -0.02, 30 * 0.03.
     assert found.peak_total_lateral_acceleration == pytest.approx(0.9)
 
 
 @pytest.mark.parametrize(
     ("lateral", "jerk"),
     [
-        # A jump to 1 m/s^2 is 2 m/s^3 over half a second, however long it lasts.
+        # A jump to 1 m/s^2 is 2 m/s^3 over half a second, for any duration.
         ([1.0], 2.0),
         ([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0], 2.0),
         ([0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4], 2.0),
@@ -64,7 +68,7 @@ def test_peaks_are_relative_to_the_road():
     ],
 )
 def test_jerk_is_averaged_over_half_a_second(lateral, jerk):
-    found = measured(len(lateral), yaw_rate=np.asarray(lateral) / 20.0)
+    found = measured(len(lateral), turning=np.asarray(lateral) / 20.0)
     assert found.peak_lateral_jerk == pytest.approx(jerk)
 
 
@@ -84,12 +88,12 @@ def test_longitudinal_jerk_is_averaged_over_a_second(accelerations, jerk):
 
 
 def test_jerk_does_not_bridge_two_attempts():
-    """What lies between them was not recorded: the second begins with what was before it."""
+    """Nothing is recorded between them: the second attempt starts from the state before it."""
     steps = [1, 2, 3, 40, 41, 42]
     columns = {
         "step": steps,
-        "yaw_rate": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
-        "yaw_rate_before": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
+        "turning": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
+        "turning_before": np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]) / 20.0,
         "acceleration": [0.0, 0.0, 0.0, -3.0, -3.0, -3.0],
         "acceleration_before": [0.0, 0.0, 0.0, -2.5, -3.0, -3.0],
     }
@@ -148,7 +152,7 @@ def sample():
     """One completed maneuver, one that collided, one that never engaged."""
     completed = trace(
         30,
-        reward_acceleration=-0.1,
+        reward_yaw_acceleration=-0.1,
         reward_yaw_rate=-0.02,
         follower_acceleration=-0.5,
         acceleration=-0.25,
@@ -177,11 +181,11 @@ def test_the_summary_counts_and_averages():
     assert found["horizon_rate"] == 0.0
     assert found["abort_rate"] == 0.5
     assert found["mean_num_aborts"] == 0.75
-    # Two were turned back, another one was missed.
+    # Two aborted, another one missed.
     assert found["abort_or_miss_rate"] == 0.75
     assert found["mean_episode_reward"] == -3.5
     assert found["mean_return"] == pytest.approx(-3.6)
-    assert found["mean_return_acceleration"] == pytest.approx(-3.0)
+    assert found["mean_return_yaw_acceleration"] == pytest.approx(-3.0)
     assert found["mean_return_yaw_rate"] == pytest.approx(-0.6)
     assert found["mean_return_deviation"] == 0.0
     assert found["mean_return_all"] == pytest.approx((-3.6 - 1.0) / 4)
@@ -193,7 +197,7 @@ def test_the_summary_counts_and_averages():
     assert found["mean_time_to_completion"] == 9.0
     assert found["mean_max_follower_braking"] == found["max_follower_braking"] == 0.5
     assert found["mean_max_changer_braking"] == found["max_changer_braking"] == 0.25
-    # Of all with a follower: the completed one and the one that collided.
+    # Over all maneuvers with a follower: the completed one and the one that collided.
     assert found["mean_max_follower_braking_all"] == 1.0
     assert found["max_follower_braking_all"] == 1.5
     assert found["min_time_to_collision"] == pytest.approx(2.0)
@@ -203,7 +207,7 @@ def test_the_summary_counts_and_averages():
 
 
 def test_success_is_what_lasts():
-    """Of eight: four completed, one of them each lost, in a collision, and out of its lane."""
+    """Eight maneuvers; of four completed ones one is lost, one collides, one leaves its lane."""
     bad = Aftermath(2.5, Fate.STRAYS, has_left_lane=True, watched_time=0.5)
     hit = Aftermath(0.5, Fate.COLLIDES, watched_time=1.5)
     away = Aftermath(0.5, has_left_lane=True, watched_time=10.0)
@@ -225,7 +229,7 @@ def test_success_is_what_lasts():
 
 
 def test_shares_of_hard_braking():
-    """Of the completed ones: who brakes, how hard, before or after the marking."""
+    """Over the completed maneuvers: which vehicle brakes, how hard, before or after the marking."""
     over = [False, True, True]
 
     def one(outcome=Outcome.COMPLETED, **columns):
@@ -233,7 +237,7 @@ def test_shares_of_hard_braking():
 
     rows = [
         one(acceleration=[-2.5, 0.0, -1.0]),
-        # At the limit, up to the rounding of a speed.
+        # At the limit, up to rounding of the speed.
         one(acceleration=[0.0, 0.0, -7.9999999], follower_acceleration=[-4.5, 0.0, 0.0]),
         one(follower_acceleration=[0.0, -1.0, -2.0]),
         one(),
@@ -321,6 +325,26 @@ def test_progress_counts_the_maneuvers():
     counts = []
     evaluate(sample(), PAPER, with_optimum=False, progress=counts.append)
     assert counts == [1, 2, 3, 4]
-    assert summarise([measure(one, PAPER, with_optimum=False) for one in sample()]) == evaluate(
+    measures = [measure(one, PAPER, with_optimum=False) for one in sample()]
+    no_optimum = "the optimum was not computed"
+    assert summarise(measures, no_optimum=no_optimum) == evaluate(
         sample(), PAPER, with_optimum=False
     )
+
+
+def test_no_cost_ratio_without_a_reason(monkeypatch):
+    """With a steering cost that the optimum does not minimise it would compare different costs."""
+    delay = next(term for term in CHANGER.terms if term.name == "delay")
+    terms = (*CHANGER.terms, delay._replace(name="jerk", is_steering_cost=True))
+    charged = load_scenario("paper", {"reward": {"delay_weight": 0.1}})
+    assert find_unminimised(charged) == []
+    monkeypatch.setattr(optimum, "CHANGER", replace(CHANGER, terms=terms))
+    assert find_unminimised(PAPER) == []
+    assert find_unminimised(charged) == ["jerk"]
+    found = evaluate(sample(), charged)
+    assert found["cost_ratio"] is found["mean_optimal_return"] is None
+    assert found["no_cost_ratio"] == "the optimum does not minimise jerk"
+    skipped = evaluate(sample(), PAPER, with_optimum=False)
+    assert skipped["no_cost_ratio"] == "the optimum was not computed"
+    assert evaluate([maneuver(trace(0))], PAPER)["no_cost_ratio"] == "no maneuver was completed"
+    assert evaluate(sample(), PAPER)["no_cost_ratio"] is None

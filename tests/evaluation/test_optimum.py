@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from marl_lanes.evaluation import optimum as module
+from marl_lanes.evaluation.measures import STEERING_COSTS
 from marl_lanes.evaluation.optimum import Optimum, optimal_lane_change
 from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE, Replay
 from marl_lanes.evaluation.simplex import minimise
@@ -15,6 +16,7 @@ from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.traffic.road.geometry import curvature_at
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import Simulator
 
 TIME_STEP = 0.1
@@ -51,7 +53,7 @@ def scenario_of(completion=SETTLED, arcs=(), **overrides) -> Scenario:
 
 
 def lane_change(speed, completion=SETTLED, **changes) -> Optimum:
-    """On a straight road, from rest across it, one lane away, but for the changes."""
+    """On a straight road, one lane away, without yaw and yaw rate, except for the changes."""
     fields = {name: changes.pop(name) for name in ("reward", "action") if name in changes}
     start = {"deviation": LANE_WIDTH} | changes
     return optimal_lane_change(scenario_of(completion, **fields), speed, **start)
@@ -76,7 +78,7 @@ def replay_of(scenario: Scenario, speed: np.ndarray, start: dict) -> Replay:
 
 
 def cost_until_completed(scenario: Scenario, actions: np.ndarray, known: np.ndarray) -> float:
-    """The sum of eq. 10-12 until the first step at which the change is complete, else infinity."""
+    """Sum of Eq. 10, Eq. 11 and Eq. 12 until the change is first complete; else infinity."""
     rule = scenario.completion
     is_there = np.abs(known[DEVIATION]) <= rule.max_deviation
     is_there &= np.abs(known[LATERAL_SPEED]) <= (rule.max_lateral_speed or math.inf)
@@ -151,7 +153,7 @@ def test_known_returns(speed, completion, expected, num_steps):
 @ENDS
 @SPEEDS
 def test_search_finds_what_a_scan_of_every_duration_finds(profile, completion):
-    """The oracle takes sin(psi) for psi, which is 3e-4 off at the 0.04 rad of a lane change."""
+    """The oracle replaces sin(psi) by psi, an error of 3e-4 at the 0.04 rad of a lane change."""
     costs = {n: primal_cost(profile, n, completion) for n in range(16, 91)}
     cheapest = min(costs, key=costs.__getitem__)
 
@@ -163,7 +165,7 @@ def test_search_finds_what_a_scan_of_every_duration_finds(profile, completion):
 
 
 def test_the_cheaper_of_two_dips_over_the_duration_is_found():
-    """The first one is where walking downhill from 40 steps, or from less, ends."""
+    """A descent from 40 steps or fewer ends in the first one."""
     slow, fast = 9.1, 18.8
     speed = [np.full(23, fast), np.linspace(fast, slow, 8), np.full(14, slow)]
     speed = np.concatenate([*speed, np.linspace(slow, fast, 5), np.full(60, fast)])
@@ -197,7 +199,7 @@ def test_binding_action_bound():
 
 
 def alone_and_engaged(speed, desired, arcs, seed):
-    """A simulator in which one changer is engaged and nobody is near."""
+    """A simulator with one engaged changer and no vehicle near it."""
     fixed = {
         "departures": {
             "interval": [300.0, 300.0],
@@ -209,7 +211,7 @@ def alone_and_engaged(speed, desired, arcs, seed):
     }
     simulator = Simulator(scenario_of(arcs=arcs, **fixed), seed=seed)
     simulator.reset()
-    while not simulator.is_engaged.any():
+    while not simulator.is_steering.any():
         simulator.step()
     return simulator
 
@@ -217,12 +219,12 @@ def alone_and_engaged(speed, desired, arcs, seed):
 def drive(simulator, actions):
     """Sum of rewards, steps and outcome of the actions, then of zeros."""
     total, given = 0.0, np.zeros((1, simulator.num_slots, 1))
-    slot = int(np.argmax(simulator.is_engaged[0]))
+    slot = int(np.argmax(simulator.is_steering[0]))
     for step in range(400):
         given[:] = actions[step] if step < len(actions) else 0.0
         simulator.step(given)
         agent = simulator.agents[0, slot]
-        total += sum(agent[f"reward_{x}"] for x in ("acceleration", "yaw_rate", "deviation"))
+        total += sum(CHANGER.terms_of(agent)[f"reward_{x}"] for x in STEERING_COSTS)
         if agent["outcome"] != Outcome.UNFINISHED:
             return total, step + 1, Outcome(int(agent["outcome"]))
     raise AssertionError("the command does not end")
@@ -239,7 +241,7 @@ def test_the_actions_complete_in_the_simulator_at_the_cost_that_is_claimed(
     road, initial, desired, seed
 ):
     simulator = alone_and_engaged(initial, desired, ROADS[road], seed)
-    agent = simulator.agents[0][simulator.is_engaged[0]][0]
+    agent = simulator.agents[0][simulator.is_steering[0]][0]
     car = simulator.vehicles[0, agent["vehicle"]]
     sign, centre = int(agent["direction"]), (agent["target_lane"] + 0.5) * LANE_WIDTH
     start = {
@@ -270,7 +272,7 @@ def test_the_actions_complete_in_the_simulator_at_the_cost_that_is_claimed(
 
 
 def cascade_cost(scenario, speed, start, gains):
-    """Of a lateral acceleration, closed on the yaw rate, with a dead zone: a good policy."""
+    """A good policy: a lateral acceleration, a yaw-rate loop and a dead zone."""
     period, damping, top, lag, dead = gains
     replay, actions = replay_of(scenario, speed, start), np.zeros(len(speed))
     e, lateral, turning = start["deviation"], 0.0, 0.0
@@ -287,7 +289,7 @@ def cascade_cost(scenario, speed, start, gains):
 @CURVES
 @pytest.mark.parametrize("direction", [1, -1])
 def test_no_policy_of_a_cross_entropy_search_is_cheaper(arcs, direction):
-    """Over the constants of a good structure; it comes near, on a straight road within 2 %."""
+    """Over the constants of a good structure; on a straight road it comes within 2 %."""
     scenario, speed = scenario_of(arcs=arcs), np.full(100, 13.0)
     start = curved_start(scenario, speed=13.0, position=115.0, direction=direction)
     bound = -optimal_lane_change(scenario, speed, **start).total_return
@@ -307,7 +309,7 @@ def test_no_policy_of_a_cross_entropy_search_is_cheaper(arcs, direction):
 @CURVES
 @pytest.mark.parametrize("direction", [1, -1])
 def test_no_neighbor_of_the_optimum_is_cheaper(arcs, direction):
-    """Random changes of a few actions that together turn and shift nothing, or almost."""
+    """Random changes of a few actions that together keep the final state (almost)."""
     scenario, speed = scenario_of(arcs=arcs), np.full(100, 9.0)
     start = curved_start(scenario, speed=9.0, position=115.0, direction=direction)
     optimum = optimal_lane_change(scenario, speed, **start)
@@ -320,7 +322,7 @@ def test_no_neighbor_of_the_optimum_is_cheaper(arcs, direction):
     _, response = replay.linearise(n)
     for _ in range(3000):
         changed = np.sort(rng.choice(n, 5, replace=False))
-        # Kept as they are: the three quantities after the last step.
+        # Unchanged: the three quantities after the last step.
         _, _, kept = np.linalg.svd(response[:, n - 1, changed])
         actions = optimum.yaw_acceleration.copy()
         size = 10.0 ** rng.uniform(-5.0, -1.0)
@@ -355,7 +357,7 @@ def test_other_beginnings_of_the_search_end_no_lower(arcs, direction):
 
 
 def test_the_simplex_method_finds_what_linprog_finds():
-    """Random sums of |x| with bounds, feasible by construction or not at all."""
+    """Random sums of |x| with bounds, feasible by construction or infeasible."""
     rng = np.random.default_rng(3)
     num_infeasible = 0
     for _ in range(60):
@@ -387,7 +389,7 @@ def test_the_simplex_method_finds_what_linprog_finds():
 
 @pytest.mark.parametrize("radius", [500.0, -100.0])
 def test_mirrored_roads_cost_the_same(radius):
-    """A change to the left on one is one to the right on the other, at mirrored places."""
+    """A change to the left on one road is the mirrored change to the right on the other."""
     found = []
     for sign in (1, -1):
         arc = {"start": 150.0, "end": 450.0, "radius": sign * radius, "transition": 50.0}
@@ -399,7 +401,7 @@ def test_mirrored_roads_cost_the_same(radius):
 
 
 def test_inside_a_wide_curve_the_change_costs_about_what_the_straight_does():
-    """Of the radius 10 km the turning differs by 0.04 % from lane to lane."""
+    """With a radius of 10 km the turning differs by 0.04 % from lane to lane."""
     arcs = [{"start": 0.0, "end": 900.0, "radius": 1e4, "transition": 0.0}]
     start = curved_start(scenario_of(arcs=arcs), speed=20.0, position=100.0, direction=1)
     bent = optimal_lane_change(scenario_of(arcs=arcs), np.full(60, 20.0), **start)
@@ -408,12 +410,12 @@ def test_inside_a_wide_curve_the_change_costs_about_what_the_straight_does():
 
 def test_each_weight_scales_its_own_term():
     speed = np.full(40, 20.0)
-    weights = {"acceleration_weight": 4.0, "yaw_rate_weight": 1.0, "deviation_weight": 0.1}
+    weights = {"yaw_acceleration_weight": 4.0, "yaw_rate_weight": 1.0, "deviation_weight": 0.1}
     base = lane_change(speed, PASSING).total_return
     doubled = lane_change(speed, PASSING, reward=weights)
     assert doubled.total_return == pytest.approx(2.0 * base)
-    # What is left is the deviation, and the fastest change under the action's bound.
-    weights |= {"acceleration_weight": 0.0, "yaw_rate_weight": 0.0}
+    # Only the deviation costs, so the optimum is the fastest change within the action's bound.
+    weights |= {"yaw_acceleration_weight": 0.0, "yaw_rate_weight": 0.0}
     fastest = lane_change(speed, PASSING, reward=weights)
     scenario = scenario_of(PASSING)
     start = {"deviation": LANE_WIDTH, "yaw_rate": 0.0, "direction": 1}

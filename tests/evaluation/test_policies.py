@@ -15,7 +15,7 @@ from marl_lanes.traffic.machine.state import Outcome
 # Many roads with two commands each take fewer steps than a few with ten.
 SHORT = {"num_agents": 2, "command": {"probability": 1.0}}
 PAPER = load_scenario("paper", SHORT)
-# A waiting lane changer that keeps its lane has the target's centre a lane's width away.
+# For a waiting changer in its lane the target's centre is one lane width away.
 FEATURES = ("speed", "acceleration", "lateral_deviation", "yaw", "yaw_rate", "curvature")
 
 
@@ -77,7 +77,7 @@ def test_a_steering_policy_names_the_feature_that_it_lacks(missing, name):
     features = [feature for feature in FEATURES if feature != missing]
     other = load_scenario("paper", {"observation": {"features": features}})
     makers = {"lane-keeping": make_lane_keeping_policy, "tuned-cascade": make_tuned_cascade_policy}
-    with pytest.raises(ScenarioError, match=rf"'paper'.*must hold \['{missing}'\] .*{name}"):
+    with pytest.raises(ScenarioError, match=rf"'paper'.*must contain \['{missing}'\] .*{name}"):
         makers[name](other)
 
 
@@ -139,7 +139,7 @@ def test_a_steering_policy_with_two_actions_follows_the_car_ahead():
 
 
 def test_lane_keeping_with_two_actions_drives_like_lane_keeping():
-    """What car following would do, done by the agent: the same maneuvers up to rounding."""
+    """The agent applies the car-following acceleration: the same maneuvers up to rounding."""
     both = load_scenario(BOTH, {"action": {"longitudinal": {"max_braking": 8.0}}})
     driven = [
         run_maneuvers(scenario, make_lane_keeping_policy(scenario), 10, seed=1)
@@ -153,7 +153,7 @@ def test_lane_keeping_with_two_actions_drives_like_lane_keeping():
 
 def test_lane_keeping_with_two_actions_needs_the_feature():
     other = load_scenario("paper", {"action": {"longitudinal": {}}})
-    with pytest.raises(ScenarioError, match=r"must hold \['car_following_acceleration'\]"):
+    with pytest.raises(ScenarioError, match=r"must contain \['car_following_acceleration'\]"):
         make_lane_keeping_policy(other)
 
 

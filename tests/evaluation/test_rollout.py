@@ -1,4 +1,4 @@
-"""Maneuvers on seeded traffic: which ones, in which order, and what is recorded of them."""
+"""Maneuvers on seeded traffic: selection, order, and recorded values."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ ADVERSARIAL = load_scenario("adversarial", QUICK)
 
 
 def slowly(observations):
-    """Feedback toward the reference lane that gives the guard time to turn agents back."""
+    """Slow feedback toward the reference lane, so that the gap rule makes some agents abort."""
     speed, _, deviation, yaw, yaw_rate, curvature = observations.astype(np.float64).T
     wanted = np.clip(0.3 * deviation, -0.8, 0.8) / np.maximum(speed, 1.0)
     action = 2.0 * (wanted - yaw) - 2.0 * (yaw_rate - curvature * speed)
@@ -126,7 +126,7 @@ def test_columns_before_a_step_are_those_after_the_last(driven):
     assert rows["yaw_rate"] == pytest.approx(rates)
     deviation = -0.05 * np.abs(rows["lateral_deviation"]) / 1.875
     assert rows["reward_deviation"] == pytest.approx(deviation)
-    assert rows["reward_acceleration"] == pytest.approx(-2.0 * np.abs(rows["yaw_acceleration"]))
+    assert rows["reward_yaw_acceleration"] == pytest.approx(-2.0 * np.abs(rows["yaw_acceleration"]))
 
 
 def test_what_is_recorded_of_the_vehicle_and_of_its_follower(driven):
@@ -150,7 +150,7 @@ def test_what_is_recorded_of_the_vehicle_and_of_its_follower(driven):
 
 
 def test_neighbors_are_those_of_both_lanes(driven):
-    """Bodies that are in a lane, and what the change imposes on driver and changer."""
+    """Bodies in a lane, and the braking that the change imposes on follower and changer."""
     rows = np.concatenate([one.trace for one in driven])
     assert (rows["is_in_origin"] | rows["is_over_marking"]).all()
     assert (rows["is_in_origin"] & rows["is_over_marking"]).any()
@@ -258,7 +258,7 @@ def test_two_actions_are_asked_of_those_that_wait_as_well():
     steered = [len(one.trace) for one in maneuvers]
     assert sum(calls) == sum(lives) > sum(steered)
     for one, life in zip(maneuvers, lives, strict=True):
-        # The trace is of steering steps alone; delay is paid for all of them.
+        # The trace has only steering steps; delay has a cost in all steps.
         assert set(one.trace["phase"]) <= {Phase.ENGAGED, Phase.ABORTING}
         found = measure(one, BOTH, with_optimum=False)
         assert one.episode_reward <= found.return_ - 0.5 * BOTH.time_step * life + 1e-6

@@ -33,10 +33,10 @@ CLOSING = {"leader_gap": 30.0, "leader_speed": 15.0}
         ({"follower_gap": -2.0, "follower_speed": 25.0}, math.inf),
         ({"leader_gap": [0.0, -1.0, 10.0], "leader_speed": 15.0}, 2.0),
         ({**CLOSING, "follower_gap": 10.0, "follower_speed": 25.0}, 2.0),
-        # Those of the target lane count on the way there, not on the way back.
+        # Neighbors in the target lane count while engaged, not while aborting.
         ({**CLOSING, "phase": Phase.ABORTING}, math.inf),
         ({**CLOSING, "phase": Phase.ABORTING, "is_over_marking": True}, 6.0),
-        # Those of the origin lane count as long as the body is in it.
+        # Neighbors in the origin lane count as long as the body is in it.
         ({"origin_leader_gap": 20.0, "origin_leader_speed": 15.0}, math.inf),
         ({"origin_leader_gap": 20.0, "origin_leader_speed": 15.0, "is_in_origin": True}, 4.0),
         ({"origin_follower_gap": 5.0, "origin_follower_speed": 25.0, "is_in_origin": True}, 1.0),
@@ -160,7 +160,7 @@ def test_post_encroachment_time(count):
 
 
 def test_post_encroachment_time_is_measured_where_the_rows_reach():
-    """A follower that brakes comes later than its speed at the entry says."""
+    """A follower that brakes arrives later than at its speed at the entry."""
     columns = moving(40, 0, follower=(20.0, 20.0))
     time = 0.1 * np.arange(40)
     columns["follower_gap"] = 20.0 + 0.5 * 4.0 * time**2
@@ -175,7 +175,7 @@ def test_post_encroachment_is_of_one_vehicle():
     columns["follower_id"] = [4] * 5 + [6] * 35
     columns["follower_gap"] = [40.0] * 5 + [1.0] * 35
     found = measured(40, **columns)
-    # The other one is near; the one of the entry goes on at its speed.
+    # Another vehicle is now near; the follower at the entry is extrapolated at its speed.
     assert found.post_encroachment_time_follower == pytest.approx(2.0)
     assert math.isnan(measured(40, **moving(40, 0)).post_encroachment_time_follower)
     assert math.isnan(measured(40, **moving(40, 40)).post_encroachment_time_leader)
@@ -191,7 +191,7 @@ def test_the_rss_distance():
 
 
 def test_rss_violations():
-    """65.78 m at 20 m/s; only in the lane, and each neighbor by itself."""
+    """65.78 m at 20 m/s; only in the lane, for each neighbor separately."""
     near, far = 65.7, 65.9
     found = measured(
         4,

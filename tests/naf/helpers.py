@@ -45,7 +45,7 @@ def make_loss(network=None, **kwargs):
 
 @contextlib.contextmanager
 def unchanged(data):
-    """Checks that the entries that are there at the start stay as they are."""
+    """Checks that the entries present at the start do not change."""
     before = data.clone()
     yield
     assert_allclose_td(data.select(*before.keys(True, True)), before)

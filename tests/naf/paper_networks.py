@@ -1,4 +1,4 @@
-"""Networks of the paper's features, and observations for them."""
+"""Networks with the paper's features, and observations for them."""
 
 import torch
 from tensordict import TensorDict

@@ -1,4 +1,4 @@
-"""Network and loss stay on one device: the meta device, whose tensors mix with no others."""
+"""Network and loss stay on one device: the meta device, which does not mix with others."""
 
 import pytest
 import torch
@@ -27,7 +27,7 @@ def test_nothing_stays_on_the_cpu(mu, mu_frozen):
     actions = 2 if "+" in mu else 1
     low, high = [-0.5, -5.0][:actions], [0.5, 1.0][:actions]
     network = NAFNetwork(FEATURES, low, high, mu=mu, hidden_sizes=[8])
-    # What is kept from a first use on the CPU must not be used again.
+    # Values cached in a first use on the CPU must not be used again.
     network.policy().module(torch.zeros(3, len(FEATURES)))
     network.to(META)
     network.mu_frozen = mu_frozen

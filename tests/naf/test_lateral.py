@@ -1,4 +1,4 @@
-"""The lateral structures of mu: initial values, bounds, and lane changes that they make."""
+"""The lateral structures of mu: initial values, bounds, and their lane changes."""
 
 import itertools
 import math
@@ -105,7 +105,7 @@ def test_the_cascade_says_exactly_zero_where_little_is_to_be_gained():
     columns = [torch.full((5, 1), value) for value in (22.0, 1.0, 0.0)]
     found, slope = (part.flatten() for part in steer_by_cascade(*columns, turning, gains))
     assert found[:3].tolist() == [0.0, 0.0, 0.0]
-    # How near it is to doing something, as a share of the threshold.
+    # The input of the threshold, as a share of it.
     expected = torch.tensor([0.0, 0.995, -0.995, 1.0, -1.0])
     torch.testing.assert_close(slope, expected, atol=1e-3, rtol=0)
     torch.testing.assert_close(found[3:], torch.tensor([1e-4, -1e-4]), rtol=0.1, atol=0)
@@ -116,7 +116,7 @@ def test_the_cascade_begins_with_the_tuned_gains():
     observation = make_observation(50)
     normalised = (observation - torch.tensor(OFFSETS)) / torch.tensor(SCALES)
     gains = mu.gains(torch.full((50, 1), 22.0), normalised)
-    # A limit at the bound is out of a sigmoid's reach.
+    # A sigmoid cannot reach a limit at the bound.
     expected = TUNED_CASCADE._replace(limit=0.45)
     for name, values, value in zip(CascadeGains._fields, gains, expected, strict=True):
         assert values.shape == (50, 1)
@@ -136,7 +136,7 @@ def test_the_cascades_gains_keep_to_their_ranges():
     highest = CascadeGains(0.5, 2.5, 1.0, 0.25, 1.4, 0.05)
     for name, values, low, high in zip(CascadeGains._fields, gains, lowest, highest, strict=True):
         assert (values.min().item(), values.max().item()) == pytest.approx((low, high)), name
-    # The threshold holds back at most the turn for 0.2 m, and 0.3 of the largest turn.
+    # The threshold suppresses at most the yaw rate for 0.2 m, and 0.3 of the largest one.
     held_back = 22.0 * gains.threshold * gains.lag
     for bound in (0.2 / gains.time.square(), 0.3 * gains.lateral_limit):
         assert (held_back <= bound + 1e-6).all()
@@ -184,7 +184,7 @@ def test_cascade_and_damped_mu_settle_and_the_papers_does_not():
     assert max(map(abs, damped[150:])) < 0.01
     assert min(damped) > -0.5
     settled = lane_change(make_network("cascade"))
-    # Within the threshold nothing steers.
+    # Within the threshold the action is 0.
     assert max(map(abs, settled[150:])) < 0.2
     assert min(settled) > -0.5
     paper = lane_change(make_network("paper"), deviation=0.1)
@@ -201,7 +201,7 @@ def test_damped_mu_settles_at_the_ends_of_its_gains(poles):
 
 
 def extreme_cascades(speed):
-    """Every combination of the ends of mu cascade's gains, (64, 1) each."""
+    """Every combination of the bounds of mu cascade's gains, (64, 1) each."""
     ends = torch.tensor(list(itertools.product((-1e30, 1e30), repeat=6)))
     mu = make_network("cascade").mu
     mu.heads = nn.Identity()
@@ -224,7 +224,7 @@ def drive_by_cascade(gains, deviation, yaw, speed, seconds, dt=0.1):
 
 @pytest.mark.parametrize(
     ("deviation", "yaw", "room"),
-    # A change; and turned back at the marking, 1.1 m/s outward: to the road's edge 3.8 m more.
+    # A change, and an abort at the marking at 1.1 m/s outward: 3.8 m to the road's edge.
     [(3.75, 0.0, 2.3), (-0.9, 0.05, 4.7)],
 )
 @pytest.mark.parametrize("speed", [8.0, 22.0, 34.0])
@@ -233,7 +233,7 @@ def test_cascade_mu_arrives_whatever_is_learned(deviation, yaw, room, speed):
     deviations = drive_by_cascade(gains, deviation, yaw * 22.0 / speed, speed, 90.0)
     assert deviations.min() > -room
     at_the_end = deviations[:, -100:].abs().amax(1)
-    # Within the threshold it no longer steers, wherever it is.
+    # Within the threshold the action is 0, at any deviation.
     has_threshold = gains.threshold.flatten() > 1e-6
     assert at_the_end[~has_threshold].max() < 0.01
     assert at_the_end[has_threshold].max() < 0.3
@@ -245,7 +245,7 @@ def test_damped_mu_brings_a_turned_back_vehicle_home(poles):
     with torch.no_grad():
         network.mu.heads.last_bias[0].fill_(-1e30)
         network.mu.heads.last_bias[1:].fill_(poles)
-    # At the marking, 1.1 m/s outward: to the road's edge it has 3.8 m more.
+    # At the marking, 1.1 m/s outward: 3.8 m to the road's edge.
     deviations = lane_change(network, deviation=-0.9, yaw=0.05)
     assert min(deviations) > -4.7
     assert max(deviations) < 2.0

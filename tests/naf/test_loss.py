@@ -7,14 +7,15 @@ from copy import deepcopy
 import pytest
 import torch
 from naf.helpers import SUPPORTED, make_data, make_loss, make_network, unchanged
+from naf.paper_networks import make_network as make_paper_network
+from tensordict import TensorDictParams
 from torch import nn
-from torchrl._utils import rl_warnings
 from torchrl.data import MultiStep
 from torchrl.objectives import SoftUpdate, ValueEstimators
 from torchrl.objectives.value import TD0Estimator
 
 import marl_lanes.naf.loss
-from marl_lanes.naf import NAFLoss
+from marl_lanes.naf import NAFLoss, torch_internals
 
 KEYS = {
     "advantage": "advantage",
@@ -30,7 +31,7 @@ KEYS = {
 
 
 def updater_warning(expected=True):
-    if expected and rl_warnings():
+    if expected:
         return pytest.warns(UserWarning, match="No target network updater has been")
     return contextlib.nullcontext()
 
@@ -63,8 +64,9 @@ def test_loss(delay_value, estimator):
 
     target = loss.target_value_network_params.clone()
     before = [p.clone() for p in network.parameters()]
-    for parameter in loss.parameters():
-        parameter.data += torch.randn_like(parameter)
+    with torch.no_grad():
+        for parameter in loss.parameters():
+            parameter += torch.randn_like(parameter)
     assert all((p != q).all() for p, q in zip(before, network.parameters(), strict=True))
     for name in dict(network.named_parameters()):
         key = tuple(name.split("."))
@@ -240,3 +242,33 @@ def test_module_cast(delay_value):
 def test_docstring():
     assert doctest.testmod(marl_lanes.naf.loss).attempted
     assert not doctest.testmod(marl_lanes.naf.loss).failed
+
+
+@pytest.mark.parametrize("has_tables", [True, False])
+@pytest.mark.parametrize("mu", ["paper", "mlp"])
+def test_parameters_are_exchanged_only_where_the_network_has_others(mu, has_tables, monkeypatch):
+    monkeypatch.setattr(torch_internals, "HAS_TABLES", has_tables)
+    loss = NAFLoss(make_paper_network(mu))
+    exchange, exchanged = TensorDictParams.to_module, []
+
+    def note(params, *args, **kwargs):
+        exchanged.append(params)
+        return exchange(params, *args, **kwargs)
+
+    monkeypatch.setattr(TensorDictParams, "to_module", note)
+    params, network = loss.value_network_params, loss.value_network
+
+    def exchanges():
+        exchanged.clear()
+        with loss._parameters_in_place():
+            pass
+        return sum(one is params for one in exchanged)
+
+    assert exchanges() == 0
+    own = network.box.low
+    network.box.low = own.clone()
+    assert exchanges() == 1
+    network.box.low = own
+    assert exchanges() == 0
+    network.value.bias_0 = nn.Parameter(network.value.bias_0.detach().clone())
+    assert exchanges() == 1

@@ -154,7 +154,7 @@ def test_the_known_cost_of_an_action_bends_q_and_leaves_its_maximum(mu):
 
 
 def test_within_the_threshold_the_slope_still_learns():
-    """Where mu is exactly 0 the plain parabola gives its structure no gradient."""
+    """If mu is exactly 0, the plain parabola gives its structure no gradient."""
     observation = state(lateral_deviation=0.02)[None]
     gradients = {}
     for name, costs in (("plain", None), ("knowing", [2.0])):
@@ -244,7 +244,7 @@ class Roads(EnvBase):
         torch.manual_seed(seed)
 
 
-# TorchRL warns of classes of its own while its collectors are imported.
+# TorchRL warns about its own classes while its collectors are imported.
 @pytest.mark.filterwarnings("ignore:Creating .* inherits from WeightUpdaterBase:DeprecationWarning")
 def test_policy_in_a_collector():
     from torchrl.collectors import Collector

@@ -52,7 +52,7 @@ def observe_prior(prior):
 
 
 def car_following(prior, correction):
-    """The part `idm` with the correction x in place of its network's, and its gradient in x."""
+    """The part `idm` with the correction x instead of its network, and its gradient in x."""
 
     class Given(nn.Module):
         def forward(self, normalised):  # noqa: ARG002

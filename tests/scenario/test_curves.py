@@ -1,4 +1,4 @@
-"""Roads whose curves cannot be driven are refused, those that are accepted are driven."""
+"""Roads with undrivable curves are rejected; on accepted roads vehicles keep their lanes."""
 
 import numpy as np
 import pytest
@@ -112,14 +112,14 @@ def test_profiles_that_nobody_drives_refuse_nothing():
     road = {"arcs": s_curve(-180.0, 0.0)}
     profiles = {"racer": {"comfortable_lateral_acceleration": 4.0}}
     assert load_scenario("paper", {"road": road, "drivers": {"profiles": profiles}})
-    with pytest.raises(ScenarioError, match="a driver 'racer' of comfortable_lateral_acceleration"):
+    with pytest.raises(ScenarioError, match="profile 'racer' of comfortable_lateral_acceleration"):
         load_scenario(
             "paper", {"road": road, "drivers": {"profiles": profiles, "mix": {"racer": 1.0}}}
         )
 
 
 def test_a_driver_who_speeds_up_for_a_gap_takes_the_curve_faster():
-    """On a wide curve nothing but the top speed, here 43.3 m/s times the factor, is a bound."""
+    """On a wide curve only the top speed limits the speed, here 43.3 m/s times the factor."""
     road = {
         "road": {"arcs": [{"start": 250.0, "end": 700.0, "radius": -670.0, "transition": 0.0}]},
         "drivers": {"profiles": {"racer": {"comfortable_lateral_acceleration": 4.0}}},
@@ -127,5 +127,5 @@ def test_a_driver_who_speeds_up_for_a_gap_takes_the_curve_faster():
     }
     road["drivers"]["mix"] = {"racer": 1.0}
     assert load_scenario("paper", road | {"gap": {"speed_factor": 1.0}})
-    with pytest.raises(ScenarioError, match=r"is carried off by 0\.9\d* m"):
+    with pytest.raises(ScenarioError, match=r"deviates by 0\.9\d* m"):
         load_scenario("paper", road | {"gap": {"speed_factor": 1.1}})

@@ -12,7 +12,7 @@ from staging import damped_actions
 from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
 from marl_lanes.scenario import followers as followers_module
 from marl_lanes.scenario import schema as schema_module
-from marl_lanes.traffic.roles.observation import FEATURES
+from marl_lanes.traffic.roles.changer import FEATURES
 from marl_lanes.traffic.simulator import Simulator
 
 UNITS = {"m", "m/s or 'x km/h'", "m/s", "m/s^2", "rad/s", "rad/s^2", "s", "1", "count", "section"}
@@ -72,7 +72,7 @@ def test_every_shipped_scenario_loads_and_runs(name):
     assert simulator.roads["num_collisions"].sum() == 0
 
 
-def test_the_paper_is_the_schemas_defaults_and_says_every_field():
+def test_the_paper_is_the_schemas_defaults_and_says_every_field_that_counts():
     paper = load_scenario("paper")
     defaults = Scenario(name="paper", description=paper.description)
     assert paper == defaults
@@ -82,8 +82,9 @@ def test_the_paper_is_the_schemas_defaults_and_says_every_field():
     assert set(dumped) - set(spelled) == {"name"}
     for name, value in spelled.items():
         if isinstance(value, dict):
-            # An arc-free road need not say so.
-            assert set(dumped[name]) - set(value) <= {"arcs"}, name
+            unsaid = {field: dumped[name][field] for field in set(dumped[name]) - set(value)}
+            # A road without arcs need not say so, nor a reward that a term has the weight 0.
+            assert all(not default for default in unsaid.values()), unsaid
 
 
 def test_the_defaults_are_the_papers_numbers():
@@ -99,7 +100,7 @@ def test_the_defaults_are_the_papers_numbers():
     assert paper.departures.desired_speed == pytest.approx((80.0 / 3.6, 120.0 / 3.6))
     assert paper.command.probability == pytest.approx(1.0 / 3.0)
     reward = paper.reward
-    weights = (reward.acceleration_weight, reward.yaw_rate_weight, reward.deviation_weight)
+    weights = (reward.yaw_acceleration_weight, reward.yaw_rate_weight, reward.deviation_weight)
     assert weights == (2.0, 0.5, 0.05)
     assert reward.average_deviation == paper.road.lane_width / 2.0
 
@@ -174,11 +175,14 @@ def test_a_new_profile_beside_the_others():
     assert set(scenario.drivers.profiles) == {"normal", "aggressive", "defensive", "late"}
 
 
-# Errors: what is wrong, its value, what is allowed
+# Errors: the field, its value, the allowed values
 
 WRONG = [
     ({"colour": 1}, ["colour: unknown key; allowed: name, description, time_step"]),
-    ({"road": {"lanes": 3}}, ["road.lanes: unknown key; allowed: length, num_lanes, lane_width"]),
+    (
+        {"road": {"lanes": 3}},
+        ["road.lanes: unknown key; did you mean num_lanes? allowed: length, num_lanes, lane_width"],
+    ),
     ({"road": {"num_lanes": "3"}}, ["road.num_lanes = '3': must be a valid integer"]),
     ({"road": {"num_lanes": 2.5}}, ["road.num_lanes = 2.5: must be a valid integer"]),
     ({"road": {"num_lanes": True}}, ["road.num_lanes = True: must be a valid integer"]),
@@ -227,7 +231,7 @@ ARCS = [
     ([{"start": 10.0, "end": 50.0}], ["road.arcs.0.radius: must be given"]),
     (
         [{"start": 10.0, "end": 50.0, "radius": 90.0, "bend": 1}],
-        ["road.arcs.0.bend: unknown key; allowed: start, end, radius, transition"],
+        ["road.arcs.0.bend: unknown key; did you mean end? allowed: start, end, radius"],
     ),
     (
         [{"start": 10.0, "end": 50.0, "radius": 90.0, "transition": 21.0}],
@@ -348,7 +352,7 @@ def test_a_key_that_is_not_text_is_refused(tmp_path, text):
 
 @pytest.mark.parametrize("horizon", [0.01, 1e300])
 def test_a_horizon_that_cannot_be_counted_in_steps_is_refused(horizon):
-    """Rounded to no step at all it would be no end; beyond 64 bits it cannot be stored."""
+    """Rounded to 0 steps a horizon would mean no end; beyond 64 bits it cannot be stored."""
     assert "horizon" in error_of("paper", {"horizon": horizon})
 
 

@@ -6,17 +6,19 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from reference import FOLLOWER_TERMS, SCRIPTED, Road
-from staging import command, damped_actions, stage
+from staging import command, damped_actions, rows_of, stage
 
-from marl_lanes.scenario import list_scenarios
+from marl_lanes.scenario import list_scenarios, load_scenario
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
-from marl_lanes.traffic.roles.observation import FEATURES, feature_bounds, follower_feature_bounds
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.simulator import Simulator
 
-EVERY_FEATURE = {"features": [feature.name for feature in FEATURES]}
-LOW, HIGH = feature_bounds(EVERY_FEATURE["features"])
-FOLLOWER_LOW, FOLLOWER_HIGH = follower_feature_bounds()
+EVERY_FEATURE = {"features": [feature.name for feature in CHANGER.features]}
+OBSERVANT = load_scenario("paper", {"observation": EVERY_FEATURE})
+LOW, HIGH = CHANGER.observation_bounds(OBSERVANT)
+FOLLOWER_LOW, FOLLOWER_HIGH = FOLLOWER.observation_bounds(OBSERVANT)
 MIXED = {
     "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
     "followers": {"mix": {"cooperative": 1.0, "neutral": 1.0, "adversarial": 1.0}},
@@ -224,17 +226,12 @@ def close(value, expected, tolerance=1e-9):
     return math.isclose(value, expected, rel_tol=tolerance, abs_tol=tolerance)
 
 
-def read(table):
-    """Its rows as dictionaries: much quicker to look into, field by field."""
-    return [dict(zip(table.dtype.names, row, strict=True)) for row in table.tolist()]
-
-
 def compare_vehicles(road, simulator, env):
     count = int(simulator.roads[env]["num_vehicles"])
     slots = simulator.state.order[env, :count].tolist()
     assert slots == [car.slot for car in road.cars]
     names = list(simulator.scenario.drivers.profiles)
-    rows = read(simulator.vehicles[env])
+    rows = rows_of(simulator.vehicles[env])
     floats = [name for name, (kind, *_) in simulator.vehicles.dtype.fields.items() if kind == "f8"]
     for car in road.cars:
         row = rows[car.slot]
@@ -252,7 +249,7 @@ def compare_vehicles(road, simulator, env):
 
 
 def compare_agents(road, simulator, env):
-    for slot, row in enumerate(read(simulator.agents[env])):
+    for slot, row in enumerate(rows_of(simulator.agents[env])):
         agent = road.agents.get(slot)
         seen = simulator.state.observations[env, slot]
         if agent is None:
@@ -269,9 +266,10 @@ def compare_agents(road, simulator, env):
         expected = agent.command, agent.direction, agent.origin, agent.target, agent.born
         assert tuple(int(row[name]) for name in fields) == expected
         assert row["num_aborts"] == agent.num_aborts
-        assert row["engaged_steps"] == agent.engaged_steps
+        assert row["steering_steps"] == agent.steering_steps
+        paid = CHANGER.terms_of(row)
         for term, value in agent.terms.items():
-            assert close(row[f"reward_{term}"], value), term
+            assert close(paid[f"reward_{term}"], value), term
         assert close(row["reward"], agent.reward)
         assert close(row["episode_reward"], agent.episode_reward)
         assert close(row["car_following"], agent.car_following)
@@ -284,10 +282,10 @@ def compare_agents(road, simulator, env):
 
 
 def compare_followers(road, simulator, env):
-    for slot, row in enumerate(read(simulator.state.followers[env])):
+    for slot, row in enumerate(rows_of(simulator.state.followers[env])):
         follower = road.followers.get(slot) if road.external_names else None
         seen = simulator.state.follower_observations[env, slot]
-        terms = [float(row[f"reward_{term}"]) for term in FOLLOWER_TERMS]
+        terms = row["terms"]
         if follower is None:
             assert (row["vehicle"], row["policy"]) == (-1, -1)
             assert not any(terms)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from staging import command, damped_actions, stage
 
-from marl_lanes.traffic import state as tables
+from marl_lanes.traffic.machine import state as tables
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.simulator import Simulator
 
@@ -152,7 +152,7 @@ def test_actions_are_clipped_to_the_scenarios_bound():
     for _ in range(150):
         twins[0].step(np.full(shape, 0.5))
         twins[1].step(np.full(shape, 1e300))
-        num_steered += int((twins[0].agents["engaged_steps"] > 0).sum())
+        num_steered += int((twins[0].agents["steering_steps"] > 0).sum())
     assert twins[0].state.tobytes() == twins[1].state.tobytes()
     assert num_steered > 10
 
@@ -224,7 +224,7 @@ def test_the_views_tell_who_is_live_engaged_and_over():
     seen = np.zeros(3, bool)
     for _ in range(300):
         simulator.step(damped_actions(simulator))
-        live, engaged, over = simulator.is_live, simulator.is_engaged, simulator.has_ended
+        live, engaged, over = simulator.is_live, simulator.is_steering, simulator.has_ended
         assert (live.sum(axis=1) == simulator.roads["num_live"]).all()
         assert (live | ~engaged).all()
         assert not (live & over).any()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from staging import command, damped_actions, stage
+from staging import command, damped_actions, rows_of, stage
 
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 from marl_lanes.traffic.simulator import Simulator
@@ -45,22 +45,21 @@ def shuffle(simulator, vehicle_places, agent_places):
         array[0, agent_places] = array[0].copy()
 
 
-def read(table):
-    """Its rows as dictionaries."""
-    return [dict(zip(table.dtype.names, row, strict=True)) for row in table.tolist()]
-
-
 def story(simulator):
     """The state of road 0 in terms of ids and commands, free of slots."""
-    state, cars, agents = simulator.state, read(simulator.vehicles[0]), read(simulator.agents[0])
+    state, cars, agents = (
+        simulator.state,
+        rows_of(simulator.vehicles[0]),
+        rows_of(simulator.agents[0]),
+    )
     ids = [*(car["id"] for car in cars), -1]
     commands = [*(agent["command"] for agent in agents), -1]
-    told = {"road": state.roads[0].tolist()}
+    told = {"road": rows_of(state.roads)[0]}
     for car in cars:
         if car["id"] >= 0:
             named = {"changer": ids[car["changer"]], "agent": commands[car["agent"]]}
             told["car", car["id"]] = car | named
-    for slot, (agent, behind) in enumerate(zip(agents, read(state.followers[0]), strict=True)):
+    for slot, (agent, behind) in enumerate(zip(agents, rows_of(state.followers[0]), strict=True)):
         if agent["vehicle"] < 0:
             continue
         for kind, row in (("agent", agent), ("behind", behind)):

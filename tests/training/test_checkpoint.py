@@ -11,14 +11,12 @@ from marl_lanes import load_scenario
 from marl_lanes.envs.followers import load_follower
 from marl_lanes.naf.checkpoint import FORMAT, CheckpointError, greedy_policy, read_checkpoint
 from marl_lanes.naf.network import NAFNetwork
-from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
-    make_follower_network,
     make_network,
     save_checkpoint,
 )
-from marl_lanes.training.files import write_atomically, write_json
 from marl_lanes.training.resume import read_state
 
 torch.set_num_threads(1)
@@ -272,14 +270,14 @@ def test_a_followers_network_is_the_scenarios(tmp_path):
     scenario = load_scenario(
         "paper", {"followers": {"external": {"max_acceleration": 2.25, "max_braking": 4.1}}}
     )
-    network = make_follower_network(scenario, [8])
-    assert network.features == [feature.name for feature in FOLLOWER_FEATURES]
+    network = make_network(scenario, "mlp", [8], role=FOLLOWER)
+    assert network.features == [feature.name for feature in FOLLOWER.features]
     assert network.config["action_low"] == [np.float32(-4.1)]
     assert network.config["action_high"] == [2.25]
     assert network.mu_name == "mlp"
     assert network.hidden_sizes == [8]
-    typical = [[feature.offset + feature.scale for feature in FOLLOWER_FEATURES]]
-    assert network.normalise(torch.tensor(typical)).allclose(torch.ones(1, len(FOLLOWER_FEATURES)))
+    typical = [[feature.offset + feature.scale for feature in FOLLOWER.features]]
+    assert network.normalise(torch.tensor(typical)).allclose(torch.ones(1, len(FOLLOWER.features)))
     file = tmp_path / "f.pt"
     save_checkpoint(file, network, "paper", 3)
     assert load_follower(file, scenario)(np.zeros((5, 9), np.float32)).shape == (5,)
@@ -290,7 +288,7 @@ def test_a_followers_network_is_the_scenarios(tmp_path):
 def test_one_kind_of_agent_is_not_the_other(path, tmp_path):
     with pytest.raises(CheckpointError, match=r"policy\.pt: its features"):
         load_follower(path, PAPER)
-    save_checkpoint(tmp_path / "f.pt", make_follower_network(PAPER, [8]), "paper", 3)
+    save_checkpoint(tmp_path / "f.pt", make_network(PAPER, "mlp", [8], role=FOLLOWER), "paper", 3)
     with pytest.raises(CheckpointError, match=r"f\.pt: its features .* changers of .*'paper'"):
         load_checkpoint(tmp_path / "f.pt", PAPER)
 
@@ -299,47 +297,8 @@ def test_checkpoint_errors_are_value_errors():
     assert issubclass(CheckpointError, ValueError)
 
 
-@pytest.mark.parametrize("partly", [False, True])
-def test_a_failed_write_leaves_the_old_file(tmp_path, partly):
-    file = tmp_path / "file.txt"
-    file.write_text("old", encoding="utf-8")
-
-    def fail(temporary):
-        if partly:
-            temporary.write_text("half", encoding="utf-8")
-        raise RuntimeError("disk full")
-
-    with pytest.raises(RuntimeError, match="disk full"):
-        write_atomically(file, fail)
-    assert file.read_text(encoding="utf-8") == "old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
-    with pytest.raises(RuntimeError, match="disk full"):
-        write_atomically(tmp_path / "new.txt", fail)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
-
-
-def test_a_write_replaces_the_old_file_at_once(tmp_path):
-    file = tmp_path / "file.txt"
-    file.write_text("old", encoding="utf-8")
-
-    def write(temporary):
-        temporary.write_text("new", encoding="utf-8")
-        assert temporary.parent == tmp_path
-        assert file.read_text(encoding="utf-8") == "old"
-
-    write_atomically(file, write)
-    assert file.read_text(encoding="utf-8") == "new"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
-
-
-def test_json_holds_no_nan(tmp_path):
-    with pytest.raises(ValueError, match="JSON"):
-        write_json(tmp_path / "a.json", {"value": float("nan")})
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_cascades_network_knows_the_cost_of_the_yaw_acceleration():
-    heavy = load_scenario("paper", {"reward": {"acceleration_weight": 3.0}})
+    heavy = load_scenario("paper", {"reward": {"yaw_acceleration_weight": 3.0}})
     assert make_network(heavy, "cascade", [8]).action_costs == [3.0]
     assert make_network(LONGITUDINAL, "cascade+idm", [8]).action_costs == [2.0, 0.0]
     assert make_network(heavy, "cascade", [8], knows_action_cost=False).action_costs == [0.0]

@@ -26,16 +26,16 @@ def test_it_learns_there_and_its_checkpoint_drives_here(tmp_path, make, storage,
         learner = make(f"replay.storage={storage}", option, **places)
         if option == short:
             learner.begin(run)
-            before = learner.network.state_dict()["value.weight_0"].clone()
+            before = learner.algorithm.network.state_dict()["value.weight_0"].clone()
         else:
             learner.resume(run)
         assert learner.train(Evaluation())
         learner.close()
-        assert {one.device.type for one in learner.loss.state_dict().values()} == {"cuda"}
-    after = learner.network.state_dict()["value.weight_0"]
+        assert {one.device.type for one in learner.algorithm.loss.state_dict().values()} == {"cuda"}
+    after = learner.algorithm.network.state_dict()["value.weight_0"]
     assert not torch.equal(before, after)
     final = read_checkpoint(run / "checkpoints" / "final.pt").network
     assert next(final.parameters()).device.type == "cpu"
     observations = torch.randn(7, len(final.features)).numpy()
-    there, here = (greedy_policy(one)(observations) for one in (learner.network, final))
+    there, here = (greedy_policy(one)(observations) for one in (learner.algorithm.network, final))
     assert there == pytest.approx(here, abs=1e-4)

@@ -22,7 +22,7 @@ pytestmark = [
 @pytest.mark.parametrize("make", [changers, followers])
 def test_it_learns_from_its_beginning_to_the_final_model(tmp_path, make):
     learner = make()
-    before = {key: value.clone() for key, value in learner.network.state_dict().items()}
+    before = {key: value.clone() for key, value in learner.algorithm.network.state_dict().items()}
     learner.begin(tmp_path / "run")
     evaluation = Evaluation()
     assert learner.train(evaluation)
@@ -32,15 +32,15 @@ def test_it_learns_from_its_beginning_to_the_final_model(tmp_path, make):
     assert [row["stage"] for row in metrics] == sorted(row["stage"] for row in metrics)
     assert {row["stage"] for row in metrics} == {"1", "2"}
     saved = rows(tmp_path / "run" / "evaluations.csv")
-    assert list(saved[0])[2:] == list(learner.evaluated)
+    assert list(saved[0])[2:] == list(learner.config.evaluation.metrics)
     assert len(saved) == evaluation.count >= 3
     final = read_checkpoint(tmp_path / "run" / "checkpoints" / "final.pt")
     assert (final.scenario, final.transitions) == ("paper", learner.transitions)
-    for key, value in learner.network.state_dict().items():
+    for key, value in learner.algorithm.network.state_dict().items():
         assert torch.equal(final.network.state_dict()[key], value), key
     for part in ("mu.", "value.", "factor_logits."):
         keys = [key for key in before if key.startswith(part)]
-        state = learner.network.state_dict()
+        state = learner.algorithm.network.state_dict()
         assert any(not torch.equal(before[key], state[key]) for key in keys), part
     with pytest.raises(ConfigError, match="must be a new or empty folder"):
         make().begin(tmp_path / "run")
@@ -58,8 +58,8 @@ def test_a_state_from_the_beginning_goes_on_identically(tmp_path, make):
     for learner in (one, other):
         learner.close()
     assert tables(tmp_path / "one") == tables(tmp_path / "other")
-    for key, value in one.loss.state_dict().items():
-        assert torch.equal(other.loss.state_dict()[key], value), key
+    for key, value in one.algorithm.loss.state_dict().items():
+        assert torch.equal(other.algorithm.loss.state_dict()[key], value), key
 
 
 @pytest.mark.parametrize("make", [changers, followers])
@@ -70,7 +70,7 @@ def test_with_a_criterion_the_best_model_is_the_final_one(tmp_path, make):
     learner = make(*options)
     learner.begin(tmp_path / "run")
     shutil.copytree(tmp_path / "run", tmp_path / "again")
-    before = {key: value.clone() for key, value in learner.network.state_dict().items()}
+    before = {key: value.clone() for key, value in learner.algorithm.network.state_dict().items()}
     evaluation = Evaluation()
     assert learner.train(evaluation)
     checkpoints = tmp_path / "run" / "checkpoints"
@@ -80,7 +80,9 @@ def test_with_a_criterion_the_best_model_is_the_final_one(tmp_path, make):
     assert len(saved) == evaluation.count == 2
     assert {path.name for path in checkpoints.iterdir()} == {*saved, "final.pt"}
     networks = [read_checkpoint(checkpoints / name).network.state_dict() for name in names]
-    for found, wanted in zip(networks, (before, learner.network.state_dict()), strict=True):
+    for found, wanted in zip(
+        networks, (before, learner.algorithm.network.state_dict()), strict=True
+    ):
         assert all(torch.equal(found[key], value) for key, value in wanted.items())
     best = max(saved, key=lambda name: float(saved[name]["success_rate"]))
     final = checkpoints / "final.pt"
@@ -123,14 +125,17 @@ def test_a_copy_that_drives_follows_the_network(tmp_path):
     runs = {}
     for name, places in (("one", {}), ("copy", {"acting_device": torch.device("cpu", 0)})):
         learner = changers(**places)
-        assert (learner.actor is learner.network) == (name == "one")
+        assert (learner.algorithm.actor.network is learner.algorithm.network) == (name == "one")
         learner.begin(tmp_path / name)
         assert learner.train(Evaluation())
         learner.close()
         runs[name] = tables(tmp_path / name)
     assert runs["one"] == runs["copy"]
     # That of the last batch's beginning, of which the updates have made another.
-    actor, network = learner.actor.state_dict(), learner.network.state_dict()
+    actor, network = (
+        learner.algorithm.actor.network.state_dict(),
+        learner.algorithm.network.state_dict(),
+    )
     assert any(not torch.equal(actor[key], network[key]) for key in network)
 
 
@@ -138,7 +143,7 @@ def sampled_noise(learner, group, num_actions):
     """Many actions after the noise, all zero before it."""
     action = torch.zeros(8, 4, num_actions)
     steps = [TensorDict({group: {"action": action.clone()}}, [8]) for _ in range(400)]
-    return torch.stack([learner.noise(step)[group, "action"] for step in steps])
+    return torch.stack([learner.algorithm.actor.noise(step)[group, "action"] for step in steps])
 
 
 @pytest.mark.parametrize(("sigma", "factor"), [(0.02, 1.0), (0.1, 1.0), (0.02, 4.0)])
@@ -195,7 +200,7 @@ def filled(folder, *options):
 
 
 def weights_of(learner):
-    return {key: value.clone() for key, value in learner.loss.state_dict().items()}
+    return {key: value.clone() for key, value in learner.algorithm.loss.state_dict().items()}
 
 
 def test_many_updates_at_once_are_those_one_by_one(tmp_path, monkeypatch):
@@ -204,7 +209,9 @@ def test_many_updates_at_once_are_those_one_by_one(tmp_path, monkeypatch):
         monkeypatch.setattr("marl_lanes.training.learner.ROWS_AT_ONCE", rows_at_once)
         learner = filled(tmp_path / str(rows_at_once))
         torch.manual_seed(9)
-        losses = torch.cat([learner.update(number) for number in numbers]).tolist()
+        losses = torch.cat(
+            [learner.update(number)["loss"] for number in numbers if number]
+        ).tolist()
         results.append((losses, weights_of(learner), torch.rand(3)))
         learner.close()
         assert learner.counters["updates"] == len(losses) == 7
@@ -236,7 +243,7 @@ def test_the_frozen_mu_of_stage_one_begins_as_new_in_stage_two(tmp_path):
 
     def update(transitions):
         learner.counters["transitions"] = transitions
-        learner.anneal()
+        learner.algorithm.anneal(transitions)
         before = weights_of(learner)
         learner.update(5 if transitions < 1000 else 1)
         after = weights_of(learner)
@@ -268,8 +275,8 @@ def test_step_sizes_fall_through_stage_two(tmp_path):
     )
     for transitions, share in ((0, 1.0), (1000, 1.0), (2000, 0.55), (3000, 0.1), (3500, 0.1)):
         learner.counters["transitions"] = transitions
-        learner.anneal()
-        rates = [group["lr"] for group in learner.optimizer.param_groups]
+        learner.algorithm.anneal(transitions)
+        rates = [group["lr"] for group in learner.algorithm.optimizer.param_groups]
         assert rates == pytest.approx([0.001 * share, 0.0002 * share])
     learner.close()
 
@@ -280,7 +287,7 @@ def test_a_compiled_loss_gives_the_same_losses(tmp_path):
     for option in ("false", "true"):
         learner = filled(tmp_path / option, f"optimizer.compile={option}")
         torch.manual_seed(9)
-        results.append(learner.update(5).tolist())
+        results.append(learner.update(5)["loss"].tolist())
         learner.close()
     # Adam divides by the gradient's size: the rounding of a tiny one is a whole step.
     assert results[0] == pytest.approx(results[1], rel=1e-3)

@@ -59,12 +59,12 @@ def test_a_cluster_that_is_not_there():
 def test_each_node_has_a_worker(workers, first):
     import ray
 
-    nodes = {
-        actor["Address"]["NodeID"]
-        for actor in ray._private.state.actors().values()
-        if actor["State"] == "ALIVE" and str(actor["Pid"]) in " ".join(workers.places)
-    }
-    assert len(nodes) == 2
+    def node(_):
+        return ray.get_runtime_context().get_node_id()
+
+    actors = workers._collector.remote_collectors
+    nodes = ray.get([actor.__ray_call__.remote(node) for actor in actors])
+    assert len(set(nodes)) == len(nodes) == 2
     assert first[1].shape == (2, NUM_ROADS // 2, NUM_STEPS)
 
 

@@ -15,10 +15,10 @@ from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector
-from marl_lanes.training.config import ConfigError, ReplayConfig
+from marl_lanes.training.config import EVALUATED, ConfigError, ReplayConfig
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
-from marl_lanes.training.run_folder import EVALUATED, FINAL_MODEL, RunFolder, Table
+from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, Table
 from marl_lanes.training.transitions import LivePolicy, live_transitions
 
 torch.set_num_threads(1)
@@ -27,6 +27,7 @@ collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
 )
 COLUMNS = ("transitions", "name", "value")
+LEARNED = ("stage", "loss", "sigma")
 NEW = {"num_agents": None, "horizon": None, "command": {"probability": 1.0}, "num_slots": 4}
 ENDING = {"num_agents": 2, "command": {"probability": 1.0}, "num_slots": 4}
 
@@ -83,7 +84,7 @@ def test_success_leads_what_is_told_of_a_saved_model():
 
 def test_a_new_run_makes_its_folder(tmp_path):
     path = tmp_path / "deep" / "run"
-    run = RunFolder(path)
+    run = RunFolder(path, LEARNED)
     run.log("train", {"loss": 1.0, "text": "left out", "none": None}, 5)
     run.close()
     names = {entry.name for entry in path.iterdir()}
@@ -112,7 +113,7 @@ def test_a_new_run_makes_its_folder(tmp_path):
 )
 def test_the_best_saved_model_becomes_the_final_one(tmp_path, values, chosen):
     """Of equals the earliest; one without a value is the worst."""
-    run = RunFolder(tmp_path / "run", evaluated=("other", "quality"))
+    run = RunFolder(tmp_path / "run", LEARNED, evaluated=("other", "quality"))
     for transitions, (name, value) in enumerate(zip("abc", values, strict=True)):
         (run.checkpoints / f"{name}.pt").write_text(name, encoding="utf-8")
         run.evaluations.append((transitions, f"{name}.pt", 7.0, value))
@@ -128,16 +129,16 @@ def test_the_best_saved_model_becomes_the_final_one(tmp_path, values, chosen):
 
 
 def test_a_folder_with_a_run_is_refused(tmp_path):
-    run = RunFolder(tmp_path)
+    run = RunFolder(tmp_path, LEARNED)
     run.metrics.append((1, 2, 3, 4, 5, 6, 7))
     run.close()
     run.config.write_text("seed: 0\n", encoding="utf-8")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     with pytest.raises(ConfigError, match=r"output = .*must be a new or empty folder.*resume="):
-        RunFolder(tmp_path)
+        RunFolder(tmp_path, LEARNED)
     after = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     assert after == before
-    RunFolder(tmp_path, until=1).close()
+    RunFolder(tmp_path, LEARNED, until=1).close()
     assert len(read(tmp_path / "metrics.csv")) == 2
 
 

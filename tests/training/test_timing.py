@@ -77,7 +77,7 @@ def test_each_is_counted_as_what_it_is(tmp_path, monkeypatch, activity):
         "simulate": (learner.env.simulator, "step"),
         "act": (learner.policy[0], "forward"),
         "store": (learner.replay, "extend"),
-        "learn": (learner.optimizer, "step"),
+        "learn": (learner.algorithm.optimizer, "step"),
         OTHER: (learner, "log"),
         "evaluate": (learner, "save_model"),
     }[activity]

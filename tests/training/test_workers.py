@@ -1,5 +1,6 @@
 """Processes that collect: their roads, their noise, their policy, their end."""
 
+import multiprocessing
 import os
 import signal
 import time
@@ -115,7 +116,8 @@ def test_the_policy_reaches_the_workers(workers):
 @pytest.mark.usefixtures("first")
 def test_a_worker_that_dies_is_named(workers):
     assert torch.get_num_threads() == 1
-    pid = workers.process_ids[1]
+    pids, pid = set(workers.process_ids), workers.process_ids[1]
+    assert {child.pid for child in multiprocessing.active_children()} >= pids
     assert str(pid) in workers.places[1]
     os.kill(pid, signal.SIGKILL)
     start = time.monotonic()
@@ -125,7 +127,5 @@ def test_a_worker_that_dies_is_named(workers):
     with pytest.raises(WorkerError, match="worker 1 of 2"):
         workers.state()
     workers.shutdown()
-    assert not any(
-        process.is_alive() for process in workers._collector.procs if not process._closed
-    )
+    assert not {child.pid for child in multiprocessing.active_children()} & pids
     assert torch.get_num_threads() == 1

@@ -23,19 +23,43 @@ _COMPLETED = int(Outcome.COMPLETED)
 
 
 @internal
+def is_live(agent: Any) -> bool:
+    """Whether the slot has a command that is unfinished."""
+    return bool(agent.phase != _ABSENT)
+
+
+@internal
+def is_aborting(agent: Any) -> bool:
+    """Whether the agent steers back to the lane that it came from."""
+    return bool(agent.phase == _ABORTING)
+
+
+@internal
 def is_steering(agent: Any) -> bool:
-    """Whether the agent's action counts: engaged or aborting."""
+    """Whether the agent steers: engaged or aborting."""
     return bool(agent.phase == _ENGAGED or agent.phase == _ABORTING)
+
+
+@internal
+def is_acting(agent: Any, has_longitudinal: bool) -> bool:
+    """Whether its action has an effect: it steers, or is live and drives by its second action."""
+    return is_steering(agent) or (has_longitudinal and is_live(agent))
+
+
+@internal
+def reference_lane(phase: Any, origin_lane: Any, target_lane: Any) -> Any:
+    """The lane that an agent steers to: its origin while aborting, else its target.
+
+    A waiting agent already sees the change that lies before it.
+    """
+    # Without a branch, so that it also takes columns of a table.
+    return target_lane + (origin_lane - target_lane) * (phase == _ABORTING)
 
 
 @compiled
 def lateral_deviation(agent: Any, car: Any, constants: Any) -> float:
-    """Distance to the reference lane's centre [m], positive toward the target lane.
-
-    The reference is the origin lane while aborting, else the target lane: a waiting agent already
-    sees the change that lies before it.
-    """
-    lane = agent.origin_lane if agent.phase == _ABORTING else agent.target_lane
+    """Distance to the reference lane's centre [m], positive toward the target lane."""
+    lane = reference_lane(agent.phase, agent.origin_lane, agent.target_lane)
     distance = lane_centre(lane, constants.lane_width) - car.lateral_position
     return float(agent.direction * distance)
 
@@ -74,7 +98,7 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
         agent.target_lane = car.lane + agent.direction
         agent.num_aborts = 0
         agent.born_step = road.step
-        agent.engaged_steps = 0
+        agent.steering_steps = 0
         agent.episode_reward = 0.0
         car.agent = index
         road.num_commands += 1
@@ -134,6 +158,12 @@ def clear_agent(agent: Any) -> None:
     agent.outcome = _UNFINISHED
     agent.leader = agent.follower = NONE
     agent.target_leader = agent.target_follower = NONE
-    agent.reward = agent.reward_acceleration = agent.reward_yaw_rate = 0.0
-    agent.reward_deviation = agent.reward_failure = 0.0
-    agent.reward_delay = agent.reward_longitudinal = agent.car_following = 0.0
+    agent.car_following = 0.0
+    clear_payment(agent)
+
+
+@internal
+def clear_payment(record: Any) -> None:
+    """Nothing is paid to the agent, or to the follower, for this step."""
+    record.reward = 0.0
+    record.terms[:] = 0.0

@@ -1,12 +1,6 @@
 """One way of compiling for every kernel."""
 
-import hashlib
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
 
 import numba
@@ -15,43 +9,28 @@ from numba.core import types
 from numba.core.registry import CPUDispatcher
 
 from marl_lanes.starting import uncollected
+from marl_lanes.traffic.machine.numba_internals import (
+    InternalKernel,
+    Kernel,
+    known_options,
+    unused_scipy,
+)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def _hash_sources() -> str:
-    """A digest of every source file of the simulation."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-_SOURCES = _hash_sources()
-
-
 def compiled(function: Function) -> Function:
-    """Compile on first call, kept on disk; IEEE semantics, no GIL.
+    """Compile on first call, kept on disk where that is possible; IEEE semantics, no GIL.
 
     Kernels allocate nothing and own no array, so they count no references: that would take half of
     their time. Division by zero gives inf and nan as in numpy. Without the GIL several threads
     advance disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was
     vectorised.
     """
-    dispatcher = _jit(function, cache=True)
-    if dispatcher is not function:
-        # Numba stamps a cached kernel with its own file alone, yet it holds the code of the
-        # kernels that it calls: without this an edit of one file would leave the others stale.
-        cache_file = cast("Any", dispatcher)._cache._cache_file
-        cache_file._source_stamp = (cache_file._source_stamp, _SOURCES)
-    return dispatcher
-
-
-class _Internal(CPUDispatcher):
-    """A kernel without an entry from Python; calling it there would crash the interpreter."""
-
-    def __call__(self, *_: Any, **__: Any) -> Any:
-        raise TypeError(f"{self.py_func.__name__}() can be called by other kernels only")
+    kernel = _make(Kernel, function)
+    if kernel is not function:
+        cast("Any", kernel).enable_caching()
+    return kernel
 
 
 def internal(function: Function) -> Function:
@@ -63,10 +42,7 @@ def internal(function: Function) -> Function:
     Raises:
         TypeError: when it is called from Python, unless numba's compilation is switched off.
     """
-    dispatcher = _jit(function, no_cpython_wrapper=True, forceinline=True)
-    if dispatcher is not function:
-        cast("Any", dispatcher).__class__ = _Internal
-    return dispatcher
+    return _make(InternalKernel, function, no_cpython_wrapper=True, forceinline=True)
 
 
 def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
@@ -78,9 +54,18 @@ def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
     if not isinstance(kernel, CPUDispatcher):
         return kernel  # numba's compilation is switched off
     signature = tuple(_type_of(argument) for argument in arguments)
-    with uncollected(), _unused_scipy():
+    with uncollected(), unused_scipy():
         kernel.compile(signature)
     return cast("Function", kernel.get_overload(signature))
+
+
+def on_columns(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """The kernel's own source, for whole columns of a table at once, by numpy.
+
+    It must have no branch and call no other kernel. A table's fields are attributes in
+    ``table.view(numpy.recarray)``.
+    """
+    return cast("Callable[..., Any]", getattr(kernel, "py_func", kernel))
 
 
 def _type_of(argument: Any) -> Any:
@@ -92,30 +77,10 @@ def _type_of(argument: Any) -> Any:
     return types.Array(cast("Any", numba).from_dtype(argument.dtype), argument.ndim, "C")
 
 
-@contextmanager
-def _unused_scipy() -> Iterator[None]:
-    """Numba loads what it can compile without importing SciPy, which takes a fifth of a second.
-
-    It imports it only to see whether linear algebra can be compiled; what compiles some still does.
-    """
-    linear_algebra = cast("Any", import_module("numba.np.linalg"))
-    ensure_blas = getattr(linear_algebra, "ensure_blas", None)
-    if ensure_blas is None or "numba.np.arraymath" in sys.modules:
-        yield
-        return
-
-    def find_scipy() -> None:
-        if find_spec("scipy") is None:
-            raise ImportError("no scipy")
-
-    linear_algebra.ensure_blas = find_scipy
-    try:
-        yield
-    finally:
-        linear_algebra.ensure_blas = ensure_blas
-
-
-def _jit(function: Function, **options: bool) -> Function:
-    compile_ = cast("Any", numba.njit)
-    options |= {"nogil": True, "no_cfunc_wrapper": True, "_nrt": False}
-    return cast("Function", compile_(function, error_model="numpy", **options))
+def _make(kind: type[CPUDispatcher], function: Function, **options: bool) -> Function:
+    """What ``numba.njit`` makes, of another class."""
+    if cast("Any", numba.config).DISABLE_JIT:
+        return function
+    saving = known_options(no_cfunc_wrapper=True, _nrt=False, **options)
+    chosen = {"nopython": True, "boundscheck": None, "nogil": True, "error_model": "numpy"}
+    return cast("Function", kind(function, targetoptions=chosen | saving))

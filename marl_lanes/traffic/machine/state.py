@@ -1,7 +1,8 @@
 """The state: every array's name, dtype, unit and meaning, stated once; allocation follows from it.
 
 Axes: E environments (roads), V vehicle slots, A agent slots, L lanes, C collision records, F
-features of an agent, G features of a follower. Follower k belongs to agent slot k.
+features of an agent, G features of a follower, T terms of a role's reward. Follower k belongs to
+agent slot k.
 An array of structures: ``state.vehicles[e, i].speed`` in a kernel, ``state.vehicles["speed"]``
 (E, V) outside it.
 """
@@ -30,7 +31,7 @@ class Phase(IntEnum):
 
 
 class Outcome(IntEnum):
-    """How a command ended; UNFINISHED while it has not."""
+    """How a command ended; UNFINISHED while it has not. From MISSED on they truncate."""
 
     UNFINISHED = 0
     COMPLETED = 1
@@ -38,6 +39,14 @@ class Outcome(IntEnum):
     OFF_ROAD = 3
     MISSED = 4
     HORIZON = 5
+
+
+def truncates(outcome: int) -> bool:
+    """Whether that ends an agent by truncation: the road or the horizon ends, and not the task."""
+    return outcome >= _FIRST_TRUNCATING
+
+
+_FIRST_TRUNCATING = int(Outcome.MISSED)
 
 
 class CollisionKind(IntEnum):
@@ -69,7 +78,7 @@ class Disposition(IntEnum):
 
 
 Table = tuple[tuple[str, str, str, str], ...]
-"""Rows of name, dtype, unit, meaning."""
+"""Rows of name, dtype, unit, meaning; dtype ``(T,)f8`` is one value for each term."""
 
 VEHICLE: Table = (
     ("position", "f8", "m", "centre, along the road's right edge"),
@@ -102,16 +111,11 @@ AGENT: Table = (
     ("command", "i8", "1", "serial number of the command in the episode, from 0; -1 before one"),
     ("num_aborts", "i8", "1", "times that the gap guard turned it back"),
     ("born_step", "i8", "step", "step of the command"),
-    ("engaged_steps", "i8", "step", "steps that it steered"),
-    ("reward", "f8", "1", "of the last step: the sum of the six terms"),
+    ("steering_steps", "i8", "step", "steps that it steered"),
+    ("reward", "f8", "1", "of the last step: the sum of the terms"),
     ("episode_reward", "f8", "1", "sum of the rewards since the command"),
     ("car_following", "f8", "m/s^2", "what car following alone would have done in the last step"),
-    ("reward_acceleration", "f8", "1", "Eq. 10"),
-    ("reward_yaw_rate", "f8", "1", "Eq. 11"),
-    ("reward_deviation", "f8", "1", "Eq. 12"),
-    ("reward_failure", "f8", "1", "minus the failure penalty in the step of a failure"),
-    ("reward_delay", "f8", "1", "for the time since the command"),
-    ("reward_longitudinal", "f8", "1", "for what the second action departs from car following"),
+    ("terms", "(T,)f8", "1", "of the reward of the last step, TERMS of roles/changer.py"),
     (
         "vehicle",
         "i4",
@@ -130,13 +134,9 @@ AGENT: Table = (
 )
 
 FOLLOWER: Table = (
-    ("reward", "f8", "1", "of the last step: the sum of the five terms"),
+    ("reward", "f8", "1", "of the last step: the sum of the terms"),
     ("episode_reward", "f8", "1", "sum of the rewards since the command"),
-    ("reward_delay", "f8", "1", "for the time in which the changer is not in its lane"),
-    ("reward_abort", "f8", "1", "for an abort of the changer in the last step"),
-    ("reward_collision", "f8", "1", "minus the penalty in the step in which the driver collides"),
-    ("reward_discomfort", "f8", "1", "for the square of the driver's acceleration"),
-    ("reward_braking", "f8", "1", "for its hard braking"),
+    ("terms", "(T,)f8", "1", "of the reward of the last step, TERMS of roles/follower.py"),
     ("vehicle", "i4", "1", "vehicle slot of the external driver paired with the changer, or -1"),
     ("policy", "i4", "1", "which external disposition drives it: code - EXTERNAL; -1 if none"),
 )
@@ -192,11 +192,12 @@ NUM_COLLISION_RECORDS = 16
 Records = NDArray[np.void]
 
 
-def structure(table: Table) -> np.dtype[np.void]:
+def structure(table: Table, *, num_terms: int = 0) -> np.dtype[np.void]:
     """The aligned structured dtype of a table, its fields readable as attributes."""
-    fields = np.dtype([(name, kind) for name, kind, _, _ in table], align=True)
+    kinds = [(name, kind.replace("T", str(num_terms))) for name, kind, _, _ in table]
+    fields = np.dtype(kinds, align=True)
     # Padding would be bytes that no one sets: equal states could differ in them.
-    if fields.itemsize != sum(np.dtype(kind).itemsize for _, kind, _, _ in table):
+    if fields.itemsize != sum(np.dtype(kind).itemsize for _, kind in kinds):
         raise ValueError("a table's 8-byte fields must come first, and its 4-byte ones be even")
     # A record dtype gives attribute access in compiled and in interpreted kernels alike.
     return np.dtype((np.record, fields))
@@ -252,12 +253,14 @@ def allocate(
     max_vehicles: int,
     num_slots: int,
     num_features: int,
+    num_terms: int,
     num_follower_features: int,
+    num_follower_terms: int,
 ) -> State:
     """An empty state of E roads."""
     vehicles = np.zeros((num_envs, max_vehicles), structure(VEHICLE))
-    agents = np.zeros((num_envs, num_slots), structure(AGENT))
-    followers = np.zeros((num_envs, num_slots), structure(FOLLOWER))
+    agents = np.zeros((num_envs, num_slots), structure(AGENT, num_terms=num_terms))
+    followers = np.zeros((num_envs, num_slots), structure(FOLLOWER, num_terms=num_follower_terms))
     collisions = np.zeros((num_envs, NUM_COLLISION_RECORDS), structure(COLLISION))
     vehicles["id"] = vehicles["agent"] = agents["vehicle"] = NONE
     agents["command"] = followers["vehicle"] = followers["policy"] = NONE

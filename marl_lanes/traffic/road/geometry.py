@@ -85,9 +85,17 @@ def occupy(car: Any, extent: float, constants: Any) -> None:
 
 
 @internal
-def is_body_in(car: Any, lane: int) -> bool:
+def is_body_in(car: Any, lane: int) -> Any:
     """Whether the body overlaps the lane."""
-    return bool(car.lane_low <= lane <= car.lane_high)
+    # No ``and``, so that it also takes columns of a table.
+    return (car.lane_low <= lane) & (lane <= car.lane_high)
+
+
+@internal
+def is_wholly_in(car: Any) -> Any:
+    """Whether the body overlaps the lane that the car keeps, and no other."""
+    # No ``and``, so that it also takes columns of a table.
+    return (car.lane_low == car.lane) & (car.lane == car.lane_high)
 
 
 @internal

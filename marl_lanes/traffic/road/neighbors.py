@@ -113,6 +113,6 @@ def find_agent_neighbors(
 
 
 @compiled
-def bumper_gap(rear: Any, front: Any, constants: Any) -> float:
+def bumper_gap(rear: Any, front: Any, constants: Any) -> Any:
     """Bumper-to-bumper distance [m], negative where the bodies overlap lengthwise."""
-    return float(front.position - rear.position - constants.vehicle_length)
+    return front.position - rear.position - constants.vehicle_length

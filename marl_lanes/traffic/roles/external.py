@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
-from marl_lanes.traffic.roles.observation import FOLLOWER_FEATURES
+from marl_lanes.traffic.roles.follower import FOLLOWER
 
-FOLLOWER_COLUMNS = {feature.name: column for column, feature in enumerate(FOLLOWER_FEATURES)}
+FOLLOWER_COLUMNS = {feature.name: column for column, feature in enumerate(FOLLOWER.features)}
 """Column of each feature in a follower's observation."""
 
 
@@ -54,11 +54,6 @@ def register_follower(name: str, policy: FollowerPolicy) -> None:
     _registered[name] = policy
 
 
-def registered_follower(name: str) -> FollowerPolicy | None:
-    """The policy registered under that name, if any."""
-    return _registered.get(name)
-
-
 def choose_policies(
     scenario: Scenario,
     given: Mapping[str, FollowerPolicy] | None,
@@ -72,7 +67,7 @@ def choose_policies(
     """
     chosen: list[FollowerPolicy | None] = []
     for name in scenario.followers.external_names:
-        policy = (given or {}).get(name, registered_follower(name))
+        policy = (given or {}).get(name, _registered.get(name))
         if name == LEARNED and has_learner:
             policy = None
         elif policy is None:
@@ -94,7 +89,7 @@ def ask_policy(
     Raises:
         FollowerError: wrong shape or type, not finite, or out of the bounds of followers.external.
     """
-    external, count = scenario.followers.external, len(observations)
+    count = len(observations)
     returned = policy(observations)
     try:
         accelerations = np.asarray(returned, np.float64)
@@ -106,7 +101,8 @@ def ask_policy(
         raise FollowerError(
             f"follower {name!r}: returned shape {accelerations.shape}, must be ({count},)"
         )
-    low, high = -external.max_braking, external.max_acceleration
+    (acceleration,) = FOLLOWER.act(scenario)
+    low, high = acceleration.low, acceleration.high
     # Float32 networks bound their output to within rounding.
     margin = 1e-5
     bad = ~((low - margin <= accelerations) & (accelerations <= high + margin))

@@ -2,10 +2,10 @@
 
 from typing import Any
 
+from marl_lanes.traffic.command.phases import clear_payment
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import NONE, Disposition, Phase
-from marl_lanes.traffic.roles.observation import observe_follower
-from marl_lanes.traffic.roles.reward import reward_follower
+from marl_lanes.traffic.roles.follower import Step, observe_follower, pay_follower
 
 _EXTERNAL = int(Disposition.EXTERNAL)
 _ENGAGED = int(Phase.ENGAGED)
@@ -17,14 +17,7 @@ def clear_follower(follower: Any) -> None:
     """Empty a follower slot."""
     follower.vehicle = follower.policy = NONE
     follower.episode_reward = 0.0
-    clear_reward(follower)
-
-
-@internal
-def clear_reward(follower: Any) -> None:
-    """Nothing is paid for this step."""
-    follower.reward = follower.reward_delay = follower.reward_abort = 0.0
-    follower.reward_collision = follower.reward_discomfort = follower.reward_braking = 0.0
+    clear_payment(follower)
 
 
 @internal
@@ -34,28 +27,36 @@ def find_driver(agent: Any, vehicles: Any) -> int:
     if agent.phase != _ENGAGED or slot == NONE:
         return NONE
     driver = vehicles[slot]
-    # Of two changers the nearer one counts; a driver with a command of its own has other cares.
+    # Of two changers the nearer one counts. A driver with a command of its own is not paired.
     if driver.changer != agent.vehicle or driver.agent != NONE or driver.disposition < _EXTERNAL:
         return NONE
     return int(slot)
 
 
 @internal
-def pair(vehicles: Any, agents: Any, followers: Any, observations: Any, constants: Any) -> None:
+def pair(scene: Any, followers: Any, observations: Any, features: Any) -> None:
     """Pay the drivers that acted in this step, then pair the engaged changers anew."""
+    agents, vehicles, c = scene.agents, scene.vehicles, scene.constants
     for index in range(agents.shape[0]):
         agent, follower = agents[index], followers[index]
         if agent.vehicle == NONE:
             clear_follower(follower)
             observations[index, :] = 0.0
             continue
+        changer = vehicles[agent.vehicle]
         if follower.vehicle == NONE:
-            clear_reward(follower)
+            clear_payment(follower)
             # A new command may have taken the slot in the step that freed it.
-            follower.episode_reward = follower.episode_reward if agent.engaged_steps > 0 else 0.0
+            follower.episode_reward = follower.episode_reward if agent.steering_steps > 0 else 0.0
         else:
-            reward_follower(follower, agent, vehicles, agent.phase == _ABORTING, constants)
+            driver, has_aborted = vehicles[follower.vehicle], agent.phase == _ABORTING
+            step = Step(driver, agent, changer, has_aborted, c)
+            pay_follower(follower, c.follower_weights, step)
         slot = find_driver(agent, vehicles)
         follower.vehicle = slot
         follower.policy = NONE if slot == NONE else vehicles[slot].disposition - _EXTERNAL
-        observe_follower(agent, vehicles, constants, observations[index])
+        if agent.target_follower == NONE:
+            observations[index, :] = 0.0
+        else:
+            behind = vehicles[agent.target_follower]
+            observe_follower(features, observations[index], agent, behind, changer, scene)

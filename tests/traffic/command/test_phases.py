@@ -7,6 +7,7 @@ import pytest
 from staging import command, damped_actions, stage
 
 from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import Simulator
 
 ALWAYS = {"command": {"probability": 1.0}}
@@ -139,7 +140,7 @@ def test_a_waiting_agents_action_is_ignored_and_its_reward_is_zero():
         twins[0].step()
         twins[1].step(generator.uniform(-5.0, 5.0, (2, twins[1].num_slots, 1)))
         assert twins[0].state.tobytes() == twins[1].state.tobytes()
-        assert not twins[0].is_engaged.any()
+        assert not twins[0].is_steering.any()
         assert (twins[0].agents["reward"] == 0.0).all()
         waited += int(twins[0].is_live.sum())
     assert waited > 500
@@ -238,7 +239,7 @@ def test_a_hostile_action_leads_off_the_road_and_pays_once(direction):
     for _ in range(60):
         simulator.step(np.full((1, simulator.num_slots, 1), 9.0))
         row = simulator.agents[0, agent]
-        penalties.append(float(row["reward_failure"]))
+        penalties.append(float(CHANGER.terms_of(row)["reward_failure"]))
         outcomes.append(int(row["outcome"]))
     assert sorted(set(outcomes)) == [Outcome.UNFINISHED, Outcome.OFF_ROAD]
     assert sum(penalties) == -10.0
@@ -255,12 +256,13 @@ def test_the_reward_is_the_sum_of_its_terms_by_hand():
     # To the right: the yaw acceleration is -0.3 rad/s^2, the yaw rate 0.02 - 0.03.
     speed = 20.0 + 0.2 * (1.0 - (2.0 / 3.0) ** 4)
     deviation = 3.75 + speed * np.sin(-0.001) * 0.1
-    assert row["reward_acceleration"] == pytest.approx(-2.0 * 0.3)
-    assert row["reward_yaw_rate"] == pytest.approx(-0.5 * 0.01)
-    assert row["reward_deviation"] == pytest.approx(-0.05 * deviation / 1.875)
+    paid = CHANGER.terms_of(row)
+    assert paid["reward_yaw_acceleration"] == pytest.approx(-2.0 * 0.3)
+    assert paid["reward_yaw_rate"] == pytest.approx(-0.5 * 0.01)
+    assert paid["reward_deviation"] == pytest.approx(-0.05 * deviation / 1.875)
     expected = -0.605 - 0.05 * deviation / 1.875
     assert row["reward"] == row["episode_reward"] == pytest.approx(expected)
-    assert row["engaged_steps"] == 1
+    assert row["steering_steps"] == 1
 
 
 def test_on_an_arc_only_turning_relative_to_the_road_is_punished():
@@ -271,4 +273,5 @@ def test_on_an_arc_only_turning_relative_to_the_road_is_punished():
     agent = command(simulator, 0, 1)
     simulator.step()
     assert simulator.vehicles[0, 0]["yaw_rate"] == pytest.approx(rate)
-    assert simulator.agents[0, agent]["reward_yaw_rate"] == pytest.approx(0.0, abs=1e-12)
+    paid = CHANGER.terms_of(simulator.agents[0, agent])
+    assert paid["reward_yaw_rate"] == pytest.approx(0.0, abs=1e-12)

@@ -119,7 +119,7 @@ def test_ten_thousand_guarded_maneuvers_end_without_a_collision():
         simulator.reset()
         actions = np.zeros((125, simulator.num_slots, 1))
         while not simulator.roads["is_done"].all():
-            engaged = simulator.is_engaged
+            engaged = simulator.is_steering
             if engaged.any():
                 actions[engaged] = policy(simulator.state.observations[engaged])
             simulator.step(actions)

@@ -230,7 +230,7 @@ def steering(simulator):
     actions = np.zeros((*simulator.agents.shape, simulator.num_actions))
     if simulator.num_actions == 2:
         actions[..., 1] = simulator.agents["car_following"]
-    roads, slots = simulator.is_engaged.nonzero()
+    roads, slots = simulator.is_steering.nonzero()
     agents = simulator.agents[roads, slots]
     cars = simulator.vehicles[roads, agents["vehicle"]]
     is_back = agents["phase"] == Phase.ABORTING

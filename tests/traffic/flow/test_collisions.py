@@ -9,6 +9,7 @@ from staging import command, stage
 
 from marl_lanes.traffic.flow.collisions import is_overlapping
 from marl_lanes.traffic.machine.state import NUM_COLLISION_RECORDS, CollisionKind, Outcome
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import Simulator
 
 
@@ -91,7 +92,7 @@ def test_a_rear_end_collision_is_recorded_with_who_and_how():
     assert sorted(remaining.tolist()) == [73, 74]
     assert simulator.roads["num_collided"][0] == 2
     assert simulator.agents[0, agent]["outcome"] == Outcome.COLLISION
-    assert simulator.agents[0, agent]["reward_failure"] == -10.0
+    assert CHANGER.terms_of(simulator.agents[0, agent])["reward_failure"] == -10.0
 
 
 @pytest.mark.parametrize("offset", [-2.0, 1.0])

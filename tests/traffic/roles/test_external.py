@@ -48,7 +48,7 @@ def advance(simulator):
     state = simulator.state
     paired = state.followers["vehicle"] >= 0
     rows = np.nonzero(paired)[0], state.followers["vehicle"][paired]
-    seen, engaged = state.follower_observations[paired].copy(), simulator.is_engaged
+    seen, engaged = state.follower_observations[paired].copy(), simulator.is_steering
     actions = np.zeros((*engaged.shape, 1))
     actions[engaged] = steer(state.observations[engaged])
     simulator.step(actions)
@@ -123,7 +123,7 @@ def test_a_registered_name_drives_the_same_road_in_every_form():
         group = current["changers"]
         seen = group["observation"].numpy()
         action = steer(seen.reshape(-1, 6)).reshape(*group.shape, 1)
-        action = torch.from_numpy(action) * group["engaged"][..., None]
+        action = torch.from_numpy(action) * group["steering"][..., None]
         given = TensorDict({"changers": {"action": action.float()}}, batched.batch_size)
         # As steer's actions elsewhere, which are float32 too.
         current = batched.step(given)["next"]
@@ -303,7 +303,7 @@ def pay(simulator, slot, acceleration):
     before = simulator.state.followers[0, slot]["episode_reward"]
     simulator.step(None, actions)
     record = simulator.state.followers[0, slot]
-    terms = [record[name] for name in TERMS]
+    terms = record["terms"].tolist()
     assert record["reward"] == pytest.approx(sum(terms), abs=1e-12)
     assert record["episode_reward"] == pytest.approx(before + sum(terms), abs=1e-12)
     return terms

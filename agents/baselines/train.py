@@ -1,0 +1,89 @@
+"""Train the shared policy of all lane changers with another algorithm than NAF; evaluate, report.
+
+python agents/baselines/train.py ALGORITHM [scenario=NAME] [seed=N] [output=DIR] [resume=RUN]
+    [collector.kind=multi|ray num_workers=N [ray.address=HOST:PORT]] [any field of the config]
+
+ALGORITHM is td3; its YAML file here has its numbers, and ALGORITHM --help explains its fields.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import torch
+
+from marl_lanes import LaneChangeEnv, Scenario
+from marl_lanes.experiment import run, start
+from marl_lanes.training.algorithms.algorithm import Algorithm
+from marl_lanes.training.algorithms.td3 import TD3, TD3Config
+from marl_lanes.training.checkpoint import make_actor_network
+from marl_lanes.training.command_line import read_command_line
+from marl_lanes.training.config import (
+    ChangersConfig,
+    DistributedCollectorConfig,
+    read_changers_config,
+)
+
+FOLDER = Path(__file__).parent
+
+
+class TD3TrainingConfig(TD3Config, ChangersConfig):
+    """Everything that defines a run with TD3."""
+
+    collector: DistributedCollectorConfig
+    algorithm: Literal["td3"]
+
+
+def make_td3(
+    config: TD3TrainingConfig,
+    env: LaneChangeEnv,
+    scenario: Scenario,
+    device: torch.device,
+    acting_device: torch.device,
+) -> TD3:
+    """TD3 on an untrained actor."""
+    network = make_actor_network(scenario, config.network.hidden_sizes)
+    return TD3(config, env, network, device=device, acting_device=acting_device)
+
+
+class Baseline(NamedTuple):
+    """What an algorithm is told, and what makes it of that."""
+
+    config: type[ChangersConfig]
+    make: Callable[[Any, LaneChangeEnv, Scenario, torch.device, torch.device], Algorithm]
+
+
+BASELINES = {"td3": Baseline(TD3TrainingConfig, make_td3)}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train, evaluate, report."""
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        usage="%(prog)s ALGORITHM [FIELD=VALUE ...] [--cfg job]",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("algorithm", choices=list(BASELINES))
+    parser.add_argument("overrides", nargs=argparse.REMAINDER, metavar="FIELD=VALUE")
+    options = parser.parse_args(arguments)
+    baseline = BASELINES[options.algorithm]
+    try:
+        config = read(options.algorithm, options.overrides)
+        learner, scenario = start(config, partial(baseline.make, config))
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")
+    run(learner, config, scenario)
+
+
+def read(algorithm: str, overrides: Sequence[str]) -> ChangersConfig:
+    """The configuration that the command line and the YAML files come to."""
+    kind = BASELINES[algorithm].config
+    fields = read_command_line(kind, FOLDER, str(__doc__), overrides, file=algorithm)
+    return read_changers_config(kind, fields)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""A training of the lane changers from its configuration to its report, whatever the algorithm."""
+
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.evaluation.figures import draw_maneuver, draw_training
+from marl_lanes.evaluation.metrics import evaluate
+from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
+from marl_lanes.evaluation.tables import format_summary
+from marl_lanes.files import write_json
+from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
+from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.training.algorithms.algorithm import Algorithm
+from marl_lanes.training.checkpoint import load_policy
+from marl_lanes.training.collectors import WorkerError
+from marl_lanes.training.config import ChangersConfig, ConfigError, write_config
+from marl_lanes.training.learner import Learner
+from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, check_empty
+from marl_lanes.training.timing import format_split
+from marl_lanes.training.transitions import CPU
+from marl_lanes.training.workers import choose_collector
+
+MakeAlgorithm = Callable[[LaneChangeEnv, Scenario, torch.device, torch.device], Algorithm]
+"""Makes an algorithm for the environment that it collects in, the scenario, and the devices where
+it learns and where it drives. Torch is seeded before."""
+
+
+def start(config: ChangersConfig, make_algorithm: MakeAlgorithm) -> tuple[Learner, Scenario]:
+    """A new run, or the one to resume; what is wrong with the config leaves nothing behind.
+
+    Raises:
+        ConfigError, ScenarioError, CheckpointError: it cannot be.
+    """
+    torch.set_num_threads(config.num_threads)
+    scenario = load_scenario(config.scenario)
+    check_episodes(scenario)
+    env = LaneChangeEnv(
+        scenario,
+        config.collector.num_envs // config.num_workers,
+        seed=config.seed,
+        overrides=config.training_overrides,
+    )
+    if env.scenario.command.probability == 0.0:
+        raise ConfigError("training_overrides: command.probability = 0: must be above 0")
+    torch.manual_seed(config.seed)
+    folder = Path(config.output)
+    if config.resume is None:
+        check_empty(folder)
+    device = torch.device(config.device)
+    acting_device = device if config.collector.kind == "single" else CPU
+    learner = Learner(
+        config,
+        env,
+        make_algorithm(env, scenario, device, acting_device),
+        make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
+    )
+    try:
+        if config.resume is not None:
+            learner.resume(folder)
+        else:
+            learner.begin(folder)
+            write_config(learner.run.config, config)
+    except BaseException:
+        learner.collector.shutdown()
+        raise
+    return learner, scenario
+
+
+def run(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:
+    """Train to the end, or until it is interrupted; report. A dead worker ends the program."""
+    try:
+        _train(learner, config, scenario)
+    except WorkerError as error:
+        sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
+    finally:
+        learner.close()
+
+
+def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:
+    for index, place in enumerate(learner.collector.places):
+        print(f"worker {index}: {place}", file=sys.stderr)
+
+    def evaluate_model(network: PolicyNetwork) -> Mapping[str, Any]:
+        settings = config.evaluation
+        maneuvers = run_maneuvers(
+            scenario,
+            greedy_policy(network),
+            settings.num_maneuvers,
+            seed=settings.saved_models_seed,
+        )
+        return evaluate(maneuvers, scenario, with_optimum=False)
+
+    if not learner.train(evaluate_model):
+        print(f"interrupted; continue with resume={learner.run.path}")
+        return
+    summary = _report(learner, config, scenario)
+    print(f"run folder: {learner.run.path}")
+    print(format_summary({**learner.seconds, **learner.memory, **summary}))
+    print(f"time of the training, without evaluating and saving:\n{format_split(learner.split)}")
+
+
+def _report(learner: Learner, config: ChangersConfig, scenario: Scenario) -> dict[str, Any]:
+    """Evaluate the final policy, write evaluation.json and the figures."""
+    run = learner.run
+    number = config.evaluation.final_num_maneuvers
+    network = load_policy(run.checkpoints / FINAL_MODEL, scenario).network
+    with tqdm(total=2 * number, unit="maneuver", desc="evaluating") as bar:
+        maneuvers = run_maneuvers(
+            scenario,
+            greedy_policy(network),
+            number,
+            seed=config.evaluation.seed,
+            progress=lambda count: bar.update(min(count, number) - bar.n),
+        )
+        summary = evaluate(
+            maneuvers, scenario, progress=lambda count: bar.update(number + count - bar.n)
+        )
+    write_json(
+        run.path / "evaluation.json",
+        {
+            "scenario": scenario.name,
+            "policy": f"checkpoints/{FINAL_MODEL}",
+            "seed": config.evaluation.seed,
+            **summary,
+        },
+    )
+    stage_one = learner.algorithm.pretraining_transitions
+    draw_training(run.path, stage_one, summary["mean_optimal_return"])
+    _draw_first_and_last(run, scenario, config.evaluation.seed)
+    return summary
+
+
+def _draw_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
+    """Figure 8: the first and the last saved model on the same maneuver."""
+    saved = sorted(run.checkpoints.glob("step_*.pt"))
+    paths = (saved[0] if saved else run.checkpoints / FINAL_MODEL, run.checkpoints / FINAL_MODEL)
+    loaded = [load_policy(path, scenario) for path in paths]
+    first, last = (
+        run_maneuvers(scenario, greedy_policy(model.network), 1, seed=seed)[0] for model in loaded
+    )
+    labels = (f"{loaded[0].transitions:,} transitions", f"{loaded[1].transitions:,} transitions")
+    draw_maneuver(run.figures / "first_and_last.png", first, last, labels, scenario)

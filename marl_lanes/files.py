@@ -1,0 +1,115 @@
+"""Files that are whole or not there: write to a temporary name, then rename."""
+
+import glob
+import json
+import os
+import platform
+import shutil
+import stat
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a temporary file, then put it in the place of ``path``, all of it at once.
+
+    Links are followed. A file that is there keeps its mode and its owner; a new one has those that
+    the process gives. What is no file (a pipe, a device, an open descriptor as ``/dev/stdout``)
+    stays, and is sent the content once that is whole.
+
+    Args:
+        path: to write; folders above it are made.
+        write: given the temporary file's path.
+
+    Raises:
+        OSError: it is a folder, or cannot be written; what was there stays as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        before = path.stat()
+    except FileNotFoundError:
+        before = None
+    descriptor = _find_descriptor(path)
+    if descriptor is not None:
+        _send(os.dup(descriptor), write)
+        return
+    if before is not None and not stat.S_ISREG(before.st_mode):
+        _send(path, write)
+        return
+    target = path.resolve()
+    _remove_abandoned(target)
+    temporary = target.with_name(f"{_prefix(target)}{os.getpid()}")
+    try:
+        write(temporary)
+        if before is not None:
+            with suppress(PermissionError):
+                os.chown(temporary, before.st_uid, before.st_gid)
+            with suppress(PermissionError):
+                temporary.chmod(stat.S_IMODE(before.st_mode))
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def copy_file(source: Path, target: Path) -> None:
+    """Copy a file's bytes to ``target``."""
+    write_atomically(target, lambda temporary: shutil.copyfile(source, temporary))
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write ``data`` as indented JSON."""
+    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _find_descriptor(path: Path) -> int | None:
+    """The descriptor of this process that is meant, as by ``/dev/stdout``, or None.
+
+    Who has opened its file goes on writing there: another in its place would not be seen.
+    """
+    descriptors = Path(f"/proc/{os.getpid()}/fd")
+    while path.is_symlink():
+        if path.parent.resolve() == descriptors:
+            return int(path.name)
+        path = path.parent / path.readlink()
+    return None
+
+
+def _send(sink: Path | int, write: Callable[[Path], object]) -> None:
+    # Opened first, a folder is refused before any work.
+    with open(sink, "wb") as file, tempfile.TemporaryDirectory() as folder:  # noqa: PTH123
+        whole = Path(folder) / "whole"
+        write(whole)
+        with whole.open("rb") as content:
+            shutil.copyfileobj(content, file)
+
+
+def _prefix(target: Path) -> str:
+    """Of the names of its temporary files; the process's number follows.
+
+    With the machine's name: on a disk that machines share a number says nothing of others.
+    """
+    return f".{target.name}.{platform.node()}."
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove the temporary files of processes that were killed."""
+    prefix = _prefix(target)
+    for path in target.parent.glob(f"{glob.escape(prefix)}*"):
+        process = path.name.removeprefix(prefix)
+        if process.isdecimal() and not _is_running(int(process)):
+            with suppress(OSError):
+                path.unlink()
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except PermissionError:
+        return True
+    except (ProcessLookupError, OverflowError):
+        return False
+    return True

@@ -1,0 +1,64 @@
+"""What is wrong with a mapping of fields, in words: field, value, what is allowed."""
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+
+def explain(error: ValidationError, kind: type[BaseModel]) -> str:
+    """One line of all problems: of each its field, its value and what is allowed.
+
+    Args:
+        error: of a validation.
+        kind: what was validated. A validator of a whole section says itself which field it is.
+    """
+    lines = []
+    for problem in error.errors():
+        path = problem["loc"]
+        location = ".".join(str(part) for part in path)
+        message = problem["msg"].removeprefix("Value error, ")
+        message = message.replace("Input should be", "must be")
+        if problem["type"] == "extra_forbidden":
+            lines.append(unknown_key(location, fields_at(kind, path[:-1]) or ()))
+        elif problem["type"] == "missing":
+            lines.append(f"{location}: must be given")
+        elif problem["type"] == "value_error" and fields_at(kind, path) is not None:
+            lines.append(f"{location}.{message}" if location else message)
+        else:
+            lines.append(f"{location} = {problem['input']!r}: {message}")
+    return "; ".join(lines)
+
+
+def unknown_key(location: str, allowed: Iterable[str]) -> str:
+    """What to say of a key that is not allowed: the nearest one that is, and all."""
+    names = list(allowed)
+    near = get_close_matches(location.rpartition(".")[2], names, n=1)
+    nearest = f"did you mean {near[0]}? " if near else ""
+    return f"{location}: unknown key; {nearest}allowed: {', '.join(names)}"
+
+
+def fields_at(kind: type[BaseModel], path: Sequence[str | int]) -> list[str] | None:
+    """The keys of the section at the path; None where there is no section."""
+    found: Any = kind
+    for part in path:
+        if _is_section(found):
+            if part not in found.model_fields:
+                return None
+            found = found.model_fields[str(part)].annotation
+        else:
+            # dict[str, X] and tuple[X, ...]: what every entry is.
+            inner = get_args(found)
+            if not inner:
+                return None
+            found = inner[1 if get_origin(found) is dict else 0]
+        if get_origin(found) in (Union, UnionType):
+            # A section that may be null.
+            found = get_args(found)[0]
+    return list(found.model_fields) if _is_section(found) else None
+
+
+def _is_section(found: Any) -> bool:
+    return isinstance(found, type) and issubclass(found, BaseModel)

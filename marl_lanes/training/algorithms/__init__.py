@@ -1,0 +1,1 @@
+"""What a learner can learn with: losses, their optimisers, schedules and policies."""

@@ -1,0 +1,75 @@
+"""Gaussian noise on the greedy action of the agents that act."""
+
+import copy
+
+import torch
+from tensordict.nn import TensorDictSequential
+from torchrl.modules import AdditiveGaussianModule
+
+from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.training.config import ExplorationConfig
+from marl_lanes.training.transitions import CPU, LivePolicy
+
+
+class NoisyActor:
+    """A network's greedy policy with noise, which falls, where it drives.
+
+    Args:
+        config: of the noise.
+        env: whose actions it clips to.
+        network: whose policy it is, where it learns.
+        group: that it drives.
+        device: of the network.
+        acting_device: where it drives: there, or elsewhere with a copy.
+
+    Attributes:
+        network: that drives: the given one, or its copy.
+        noise: TorchRL's module.
+        policy: writes the group's actions, noise included.
+    """
+
+    def __init__(
+        self,
+        config: ExplorationConfig,
+        env: LaneChangeEnv,
+        network: PolicyNetwork,
+        group: str,
+        device: torch.device,
+        acting_device: torch.device,
+    ) -> None:
+        self.config = config
+        self._learning = network
+        self.network = (
+            network if acting_device == device else copy.deepcopy(network).to(acting_device)
+        )
+        self.noise = AdditiveGaussianModule(
+            spec=env.full_action_spec,
+            action_key=(group, "action"),
+            sigma_init=config.initial_sigma,
+            sigma_end=config.final_sigma,
+        )
+        # Sigma is a share of the half range, whatever the action's unit.
+        self.noise.std = network.box.half_range.to(CPU, copy=True)
+        self.noise.std[1:] *= config.longitudinal_factor
+        greedy = LivePolicy(
+            self.network.policy().module, len(self.noise.std), group, device=acting_device
+        )
+        self.policy = TensorDictSequential(greedy, self.noise)
+
+    @property
+    def sigma(self) -> float:
+        """The noise's standard deviation as a share of the half range."""
+        return float(self.noise.sigma)
+
+    def refresh(self) -> None:
+        """Copy the weights, where it drives with a copy."""
+        if self.network is not self._learning:
+            self.network.load_state_dict(self._learning.state_dict())
+
+    def anneal(self, transitions: int) -> None:
+        """Set the noise for those that come after so many transitions."""
+        config = self.config
+        share = min(1.0, transitions / max(1, config.annealing_transitions))
+        sigma = config.initial_sigma
+        self.noise.sigma.fill_(sigma + share * (config.final_sigma - sigma))

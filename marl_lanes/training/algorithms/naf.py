@@ -1,0 +1,177 @@
+"""NAF as an algorithm: one network, two stages, one loss."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+import torch
+from pydantic import Field
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torch.nn.utils import clip_grad_norm_
+from torchrl.objectives import HardUpdate
+
+from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.naf.joined import join_parameters
+from marl_lanes.naf.loss import NAFLoss
+from marl_lanes.naf.network import NAFNetwork
+from marl_lanes.naf.updater import ForeachSoftUpdate
+from marl_lanes.scenario.fields import Positive, Real, Section
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.training.algorithms.algorithm import Algorithm
+from marl_lanes.training.algorithms.exploration import NoisyActor
+from marl_lanes.training.config import (
+    ChangersConfig,
+    CountOrZero,
+    DistributedCollectorConfig,
+    LearnerConfig,
+    Number,
+    OptimizerConfig,
+    Widths,
+)
+from marl_lanes.training.transitions import CPU
+
+
+class NAFLossConfig(Section):
+    """NAFLoss and its target network."""
+
+    gamma: Real = Field(ge=0.0, le=1.0, description="discount factor")
+    target_update: Literal["soft", "hard"] = Field(
+        description="soft: Polyak averaging by tau; hard: a copy"
+    )
+    tau: Real = Field(gt=0.0, le=1.0, description="step of the soft update")
+    target_interval: Number = Field(description="updates of the network for one of the target")
+
+
+class NAFOptimizerConfig(OptimizerConfig):
+    """Adam for M and V, and for mu; ``final_rate`` is reached through stage two."""
+
+    mu_learning_rate: Positive = Field(
+        description="step size of mu: smaller, V keeps up with the policy that it has to value"
+    )
+    pretraining_transitions: CountOrZero = Field(
+        description="length of stage one, which trains M and V alone"
+    )
+    compile: bool = Field(
+        description="whether the loss goes through torch.compile; the first update then takes a "
+        "minute"
+    )
+
+
+class NAFConfig(LearnerConfig):
+    """How one group learns with NAF."""
+
+    loss: NAFLossConfig
+    optimizer: NAFOptimizerConfig
+
+
+class NetworkConfig(Section):
+    """Form of the changers' NAF network."""
+
+    mu: str = Field(
+        description="cascade, paper, damped or mlp; with two actions the first three with +idm or "
+        "+mlp, or mlp"
+    )
+    knows_action_cost: bool = Field(
+        description="whether Q has the reward's own cost of the yaw acceleration in it; with mu "
+        "cascade alone"
+    )
+    hidden_sizes: Widths = Field(description="widths of the hidden layers of every network")
+
+
+class TrainingConfig(NAFConfig, ChangersConfig):
+    """Everything that defines a run of agents/naf/train.py."""
+
+    collector: DistributedCollectorConfig
+    recipe: str = Field(description="the recipe's name")
+    network: NetworkConfig
+    initial_checkpoint: str | None = Field(
+        description="a checkpoint whose weights the training starts from; null: from none"
+    )
+
+
+class NAF(Algorithm):
+    """Normalized advantage functions, in two stages: M and V, then mu as well.
+
+    Args:
+        config: how it learns.
+        env: in which it collects, or the pattern of the workers' environments.
+        network: of the group; moved to the device, and changed in place.
+        group: whose network it is.
+        device: where it learns.
+        acting_device: where it drives: there, too, or on the CPU, as in workers.
+    """
+
+    columns = ("stage", "loss", "sigma")
+
+    def __init__(
+        self,
+        config: NAFConfig,
+        env: LaneChangeEnv,
+        network: NAFNetwork,
+        *,
+        group: str = CHANGER.group,
+        device: torch.device = CPU,
+        acting_device: torch.device = CPU,
+    ) -> None:
+        self.config = config
+        self.pretraining_transitions = config.optimizer.pretraining_transitions
+        self.network: NAFNetwork = network.to(device)
+        self.group = group
+        self.device = device
+        # One tensor for what learns together: the optimiser's work is mostly a cost for each.
+        parts = [*network.factor_logits.parameters(), *network.value.parameters()]
+        self.joined = [join_parameters(part) for part in (parts, list(network.mu.parameters()))]
+        self.gradients = [block.grad for block in self.joined if block.grad is not None]
+        rates: dict[float, list[nn.Parameter]] = {}
+        steps = config.optimizer.learning_rate, config.optimizer.mu_learning_rate
+        for block, rate in zip(self.joined, steps, strict=True):
+            rates.setdefault(rate, []).append(block)
+        self.rates = tuple(rates)
+        self.loss = NAFLoss(network)
+        self.loss.make_value_estimator(gamma=config.loss.gamma)
+        if config.loss.target_update == "soft":
+            self.target_updater = ForeachSoftUpdate(self.loss, tau=config.loss.tau)
+        else:
+            # Its interval counts the calls in between, of which there are none.
+            self.target_updater = HardUpdate(self.loss, value_network_update_interval=0)
+        self.optimizer = torch.optim.Adam(
+            [{"params": blocks, "lr": rate} for rate, blocks in rates.items()], fused=True
+        )
+        self.compute_loss = torch.compile(self.loss) if config.optimizer.compile else self.loss
+        self.actor = NoisyActor(config.exploration, env, network, group, device, acting_device)
+        self.policy = self.actor.policy
+
+    def refresh_policy(self) -> None:
+        """Let the policy be what has been learned."""
+        self.actor.refresh()
+
+    def anneal(self, transitions: int) -> None:
+        """Set noise, step sizes and stage for those that come after so many transitions."""
+        self.actor.anneal(transitions)
+        optimizer, stage_one = self.config.optimizer, self.pretraining_transitions
+        stage_two = max(1, self.config.collector.total_transitions - stage_one)
+        share = min(1.0, max(0, transitions - stage_one) / stage_two)
+        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
+            group["lr"] = rate * (1.0 - share * (1.0 - optimizer.final_rate))
+        is_stage_one = transitions < stage_one
+        # Adam passes over what has no gradient; a zero one it would count as a step.
+        self.joined[1].grad = None if is_stage_one else self.gradients[1]
+        self.network.mu_frozen = is_stage_one
+        self.loss.value_network.mu_frozen = is_stage_one
+
+    def schedules(self) -> Mapping[str, float]:
+        """The stage, and the noise as a share of the half range."""
+        return {"stage": 1 if self.network.mu_frozen else 2, "sigma": self.actor.sigma}
+
+    def take_step(self, batch: TensorDictBase, number: int) -> Mapping[str, Tensor]:
+        """One update of the network, and the target's where it is due."""
+        for gradient in self.gradients:
+            gradient.zero_()
+        loss: Tensor = self.compute_loss(batch)["loss"]
+        loss.backward()
+        if self.config.optimizer.max_gradient_norm is not None:
+            clip_grad_norm_(self.joined, self.config.optimizer.max_gradient_norm, foreach=True)
+        self.optimizer.step()
+        if number % self.config.loss.target_interval == 0:
+            self.target_updater.step()
+        return {"loss": loss.detach()}

@@ -1,0 +1,142 @@
+"""A training program's command line: hydra composes it and the program's YAML files."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import yaml
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import BaseModel
+
+from marl_lanes.scenario.messages import fields_at, unknown_key
+from marl_lanes.training.config import ConfigError, ProgramConfig
+
+MAIN_FILE = "config"
+"""Of a program's YAML files the one that names the others."""
+
+HYDRA_VERSION = "1.3"
+"""Whose defaults hydra is to have."""
+
+Fields = dict[str, Any]
+"""Plain values, nested."""
+
+Choices = Mapping[str, Callable[[Fields], str]]
+"""By name of a folder of YAML files: which of them, given what the rest comes to."""
+
+
+def read_command_line(
+    kind: type[ProgramConfig],
+    folder: Path,
+    description: str,
+    arguments: Sequence[str] | None = None,
+    choices: Choices | None = None,
+    *,
+    file: str = MAIN_FILE,
+) -> Fields:
+    """What the command line and the YAML files say, not yet checked.
+
+    ``--help`` and ``--cfg job`` end the program.
+
+    Args:
+        kind: the configuration, whose fields ``--help`` lists.
+        folder: of the program, with its YAML files.
+        description: of the program, for ``--help``.
+        arguments: of the command line; None: those of this process.
+        choices: as for ``compose_fields``.
+        file: as for ``compose_fields``.
+
+    Raises:
+        ConfigError: a key is unknown, or an option is no option.
+    """
+    parser = argparse.ArgumentParser(
+        description=description,
+        epilog="fields:\n" + "\n".join(_describe(kind)),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        usage="%(prog)s [FIELD=VALUE ...] [--cfg job]",
+    )
+    parser.add_argument("overrides", nargs="*", metavar="FIELD=VALUE", help="as hydra takes them")
+    parser.add_argument("--cfg", choices=["job"], help="print the configuration, and end")
+    options = parser.parse_intermixed_args(arguments)
+    fields = compose_fields(kind, folder, options.overrides, choices, file=file)
+    if options.cfg is not None:
+        sys.stdout.write(yaml.safe_dump(fields, sort_keys=False))
+        sys.exit(0)
+    return fields
+
+
+def compose_fields(
+    kind: type[ProgramConfig],
+    folder: Path,
+    overrides: Sequence[str],
+    choices: Choices | None = None,
+    *,
+    file: str = MAIN_FILE,
+) -> Fields:
+    """What hydra makes of a program's YAML files and the overrides.
+
+    Args:
+        kind: the configuration, for the nearest name of an unknown key.
+        folder: of the YAML files.
+        overrides: ``FIELD=VALUE``, ``+FIELD=VALUE``, ``FOLDER=FILE``.
+        choices: files that are chosen by the rest, where no override names one.
+        file: the YAML file that names the others, without its ending.
+
+    Raises:
+        ConfigError: a key is unknown, or an override cannot be read.
+    """
+    try:
+        with initialize_config_dir(str(folder.resolve()), version_base=HYDRA_VERSION):
+            fields = _compose(file, overrides)
+            named = _keys(overrides)
+            chosen = [
+                f"{name}={choose(fields)}"
+                for name, choose in (choices or {}).items()
+                if name not in named
+            ]
+            return _compose(file, [*overrides, *chosen]) if chosen else fields
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(_explain(error, kind, overrides)) from None
+
+
+def _compose(file: str, overrides: Sequence[str]) -> Fields:
+    composed = compose(file, list(overrides))
+    return cast("Fields", OmegaConf.to_container(composed, resolve=True))
+
+
+def _keys(overrides: Sequence[str]) -> list[str]:
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    return [override.key_or_group for override in parsed]
+
+
+def _explain(error: Exception, kind: type[ProgramConfig], overrides: Sequence[str]) -> str:
+    """What hydra refuses, in one line."""
+    if isinstance(error, MissingConfigException) and error.options:
+        name, _, file = str(error.missing_cfg_file).partition("/")
+        return f"{name} = {file!r}: must be {', '.join(error.options)}"
+    try:
+        keys = _keys(overrides)
+    except HydraException:
+        keys = []
+    for key in keys:
+        parts = key.split(".")
+        for place, part in enumerate(parts):
+            allowed = fields_at(kind, parts[:place])
+            if allowed is not None and part not in allowed:
+                return unknown_key(".".join(parts[: place + 1]), allowed)
+    return " ".join(str(error).split())
+
+
+def _describe(kind: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    """Every field and its meaning."""
+    for name, field in kind.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            yield from _describe(inner, f"{prefix}{name}.")
+        else:
+            yield f"  {prefix}{name}: {field.description}"
