@@ -50,7 +50,7 @@ class Learner:
     Args:
         config: how it learns.
         env: that it collects in, or the pattern of the workers' environments.
-        algorithm: that it learns with. Random numbers are torch's own: seed them before it is made.
+        algorithm: its algorithm. Seed torch's generator before you make it.
         others: policies of other groups, modules that write their actions.
         make_collector: in this process, or in others. What it collects in is part of the training
             state.
@@ -180,7 +180,7 @@ class Learner:
         return batch
 
     def update(self, number: int) -> dict[str, Tensor]:
-        """So many updates on batches from the replay buffer.
+        """Make ``number`` updates on batches from the replay buffer.
 
         Returns:
             the losses by name, (number,) or fewer, on the device: the call does not wait for a GPU.
