@@ -7,8 +7,9 @@ import torch
 from collecting import BUSY
 
 from marl_lanes import LaneChangeEnv
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
-from marl_lanes.training.checkpoint import make_follower_network, make_network
+from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.command_line import compose_fields
 from marl_lanes.training.config import EVALUATED, EvaluationConfig, read_config
 from marl_lanes.training.learner import Learner
@@ -57,7 +58,7 @@ def followers(*options, seed=0, **places):
     driver = make_network(env.scenario, "damped", [8])
     torch.manual_seed(seed)
     config = tiny(*options, kind=OtherConfig)
-    network = make_follower_network(env.scenario, [8])
+    network = make_network(env.scenario, "mlp", [8], role=FOLLOWER)
     algorithm = NAF(config, env, network, group="followers", **places)
     return Learner(config, env, algorithm, others=[LivePolicy(driver.policy().module, 1)])
 

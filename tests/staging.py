@@ -6,6 +6,10 @@ import numpy as np
 from reference import Car, Road
 
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
+from marl_lanes.traffic.road.geometry import road_turn_rate
+from marl_lanes.traffic.road.lane_keeping import keep_lane
+from marl_lanes.traffic.road.motion import integrate
+from marl_lanes.traffic.simulator import Simulator
 
 
 def damped_actions(simulator, noise=0.0, generator=None):
@@ -80,3 +84,29 @@ def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
     road["num_live"] += 1
     road["num_commands"] += 1
     return slot
+
+
+def one_arc(radius, **overrides):
+    """A simulator of a road that is an arc for 900 m."""
+    arcs = [{"start": 0.0, "end": 900.0, "radius": radius, "transition": 0.0}]
+    return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides})
+
+
+def place(simulator, **values):
+    """The first vehicle of a simulator, at rest in lane 0's centre but for ``values``."""
+    car = simulator.vehicles[0, 0]
+    for name in ("position", "acceleration", "yaw", "yaw_rate", "yaw_acceleration", "lane"):
+        car[name] = 0
+    car["lateral_position"], car["speed"] = 1.875, 20.0
+    for name, value in values.items():
+        car[name] = value
+    return car
+
+
+def advance(simulator, car, *, is_keeping=True):
+    """One step of one car alone, steered by lane keeping or by its yaw acceleration."""
+    arcs, constants = simulator.parameters.arcs, simulator.parameters.constants[0]
+    turn_rate = road_turn_rate(car, arcs)
+    if is_keeping:
+        car["yaw_acceleration"] = keep_lane(car, turn_rate, constants)
+    integrate(car, turn_rate, arcs, constants)

@@ -9,7 +9,8 @@ import yaml
 
 from marl_lanes import cli, list_scenarios, load_scenario
 from marl_lanes.cli import main
-from marl_lanes.training.checkpoint import make_follower_network, make_network, save_checkpoint
+from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.training.checkpoint import make_network, save_checkpoint
 
 torch.set_num_threads(1)
 EVALUATE = ["evaluate", "--policy", "damped-prior", "--maneuvers", "4"]
@@ -169,7 +170,7 @@ def folder(tmp_path, monkeypatch):
     for name in ("runs/a/checkpoints/final.pt", "runs/a/checkpoints/step_7.pt", "b.pt"):
         save_checkpoint(tmp_path / name, network, "paper", 0)
     save_checkpoint(tmp_path / "weak.pt", make_network(load_scenario("weak.yaml"), "mlp"), "w", 0)
-    driver = make_follower_network(load_scenario("quick.yaml"))
+    driver = make_network(load_scenario("quick.yaml"), "mlp", role=FOLLOWER)
     for name in ("runs/rude/checkpoints/final.pt", "runs/kind/checkpoints/final.pt"):
         save_checkpoint(tmp_path / name, driver, "quick", 0)
     return tmp_path

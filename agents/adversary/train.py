@@ -31,7 +31,7 @@ from marl_lanes.scenario.followers import LEARNED, SCRIPTED
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.naf import NAF, NAFConfig
-from marl_lanes.training.checkpoint import load_checkpoint, make_follower_network
+from marl_lanes.training.checkpoint import load_checkpoint, make_network
 from marl_lanes.training.command_line import read_command_line
 from marl_lanes.training.config import (
     CONFIG_FILE,
@@ -213,7 +213,7 @@ class Run:
             algorithm = NAF(
                 config,
                 env,
-                make_follower_network(self.scenario, config.hidden_sizes),
+                make_network(self.scenario, "mlp", config.hidden_sizes, role=FOLLOWER),
                 group=FOLLOWER.group,
                 device=self.device,
                 acting_device=self.device,

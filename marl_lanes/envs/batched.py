@@ -62,7 +62,7 @@ class LaneChangeEnv(EnvBase):
     With ``learned_followers`` there is the group ``followers``: slot k is the driver behind the
     changer of slot k in its target lane. It is live (``mask``) as long as the changer, and
     ``acting`` while it is paired and the changer engaged. Its ``observation`` (E, A, G) has the
-    columns FOLLOWER_FEATURES, its ``action`` (E, A, 1) is the longitudinal acceleration [m/s^2].
+    columns FOLLOWER_COLUMNS, its ``action`` (E, A, 1) is the longitudinal acceleration [m/s^2].
     The other keys are as above; it ends with the command.
 
     The root's ``done`` (E, 1) is the end of a road's episode: all ``num_agents`` commands of the
@@ -186,7 +186,7 @@ class LaneChangeEnv(EnvBase):
             self.to(self.device)
 
     def _bounded(self, bounds: Bounds) -> Bounded:
-        """The spec of (E, A, n) between two vectors (n,)."""
+        """The spec of (E, A, n) with two vectors (n,) as bounds."""
         shape = (self.simulator.num_envs, self.simulator.num_slots, len(bounds[0]))
         low, high = (torch.from_numpy(bound).expand(shape) for bound in bounds)
         return Bounded(low, high, shape, dtype=torch.float32)
@@ -237,7 +237,7 @@ class LaneChangeEnv(EnvBase):
         return next_tensordict_out
 
     def _read_out(self) -> dict[str, Columns]:
-        """By group what its agents are told."""
+        """Observations, masks, rewards and ends of the agents, by group."""
         simulator, state = self.simulator, self.simulator.state
         groups = {}
         for role in self.roles:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.envs.fit import check_fit
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.followers import LEARNED
-from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS, FollowerPolicy
+from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 
 if TYPE_CHECKING:
@@ -48,22 +49,10 @@ def load_follower(path: Path, scenario: Scenario) -> FollowerPolicy:
         CheckpointError: it cannot be read, or its features or bounds do not fit the scenario.
     """
     # Imported here, because an environment without a learned follower needs no torch.
-    from marl_lanes.naf.checkpoint import CheckpointError, read_checkpoint
+    from marl_lanes.naf.checkpoint import read_checkpoint
 
     network = read_checkpoint(path).network
-    wanted = list(FOLLOWER_COLUMNS)
-    if network.features != wanted:
-        raise CheckpointError(
-            f"follower checkpoint {path}: its features are {network.features}, a follower has "
-            f"{wanted}"
-        )
-    low, high = FOLLOWER.action_bounds(scenario)
-    found = network.config["action_low"], network.config["action_high"]
-    if found != (low.tolist(), high.tolist()):
-        raise CheckpointError(
-            f"follower checkpoint {path}: its action bounds are {found}, followers.external of "
-            f"scenario {scenario.name!r} has {(low.tolist(), high.tolist())}"
-        )
+    check_fit(path, network, FOLLOWER, scenario)
     return follower_policy(network)
 
 

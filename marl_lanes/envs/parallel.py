@@ -81,7 +81,7 @@ class LaneChangeParallelEnv(ParallelEnv):
     With ``learned_followers``, ``follower_k`` is the driver behind changer_k in its target lane,
     live as long as changer_k. Its action, the longitudinal acceleration (1,) [m/s^2], is used while
     the two are paired: changer_k is engaged and such a driver exists (``is_paired`` in its info).
-    Observation: FOLLOWER_FEATURES, (G,) float32, zeros if no vehicle is behind.
+    Observation: FOLLOWER_COLUMNS, (G,) float32, zeros if no vehicle is behind.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
@@ -303,7 +303,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         self.agents.sort(key=self._rank.__getitem__)
 
     def _collect_follower(self, slot: int, changer: str, name: str, result: Step) -> None:
-        """Write what the driver behind the changer of a slot has into the dicts."""
+        """Write the values of the driver behind the changer of a slot to the dicts."""
         observations, rewards, terminations, truncations, infos = result
         record = self.simulator.state.followers[0, slot]
         observations[name] = self.simulator.state.follower_observations[0, slot].copy()

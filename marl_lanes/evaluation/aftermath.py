@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from marl_lanes.traffic.machine.compiled import on_columns
 from marl_lanes.traffic.machine.state import Fate
-from marl_lanes.traffic.road.geometry import lane_centre
+from marl_lanes.traffic.road.geometry import is_wholly_in, lane_centre
 from marl_lanes.traffic.simulator import Simulator
 
+_is_wholly_in = on_columns(is_wholly_in)
 _lane_centre = on_columns(lane_centre)
 
 WATCHED_TIME = 10.0
@@ -149,7 +150,7 @@ class Watch:
         watched["has_left_lane"] |= cars["lane_low"] < watched["lane_low"]
         watched["has_left_lane"] |= cars["lane_high"] > watched["lane_high"]
         watched["has_left_lane"] |= is_gone & (cars["fate"] == Fate.STRAYS)
-        is_in = (cars["lane_low"] == cars["lane"]) & (cars["lane_high"] == cars["lane"])
+        is_in = _is_wholly_in(cars.view(np.recarray))
         for name in ("lane_low", "lane_high"):
             watched[name][is_in] = cars["lane"][is_in]
         watched["has_moved"] |= cars["lane"] != watched["lane"]

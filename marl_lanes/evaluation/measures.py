@@ -21,7 +21,7 @@ LONGITUDINAL_JERK_WINDOW = 1.0
 
 
 STEERING_COSTS = tuple(term.name for term in CHANGER.terms if term.is_steering_cost)
-"""The terms of the reward that a maneuver's return sums, Eq. 13."""
+"""The reward terms in the return of a maneuver, Eq. 13."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ManeuverMetrics:
     has_side_collision: bool
     return_: float
     returns: dict[str, float]
-    """By steering cost."""
+    """Return of each steering cost."""
     episode_reward: float
     num_steps: int
     duration: float

@@ -91,7 +91,7 @@ def _make_steering_policy(
 
 
 def _bounds(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The least and the largest action, each (D,)."""
+    """The smallest and the largest action, each (D,)."""
     dimensions = CHANGER.act(scenario)
     return np.array([one.low for one in dimensions]), np.array([one.high for one in dimensions])
 

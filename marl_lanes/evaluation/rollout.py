@@ -240,7 +240,7 @@ class _Recorder:
         return np.asarray(agents["direction"] * (centre - cars["lateral_position"]))
 
     def _gap(self, envs: Any, cars: Any, slot: Any, *, is_ahead: bool) -> NDArray[np.float64]:
-        """Bumper to bumper, to the vehicles ahead or behind; inf where none is."""
+        """Bumper to bumper, to the vehicles ahead or behind; inf if there is none."""
         others = self.simulator.vehicles[envs, slot]
         rear, front = (cars, others) if is_ahead else (others, cars)
         constants = self.simulator.parameters.constants[0]

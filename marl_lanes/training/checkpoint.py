@@ -1,4 +1,4 @@
-"""Networks and checkpoints that fit a scenario: those of its changers, those of its followers."""
+"""Networks for a role on a scenario, and checkpoints of them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from marl_lanes.envs.fit import check_fit, network_form
 from marl_lanes.files import write_atomically
 from marl_lanes.naf.checkpoint import (
     FORMAT,
@@ -19,7 +20,7 @@ from marl_lanes.naf.checkpoint import (
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.traffic.roles.role import Role
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork
 
 FORMATS: Mapping[str, Callable[..., PolicyNetwork]] = {
@@ -36,64 +37,31 @@ def make_network(
     mu: str,
     hidden_sizes: Sequence[int] = _HIDDEN_SIZES,
     *,
+    role: Role = CHANGER,
     knows_action_cost: bool = True,
 ) -> NAFNetwork:
-    """An untrained network of the changers, for their features and action bounds.
+    """An untrained network for the features and action bounds of a role.
 
     Args:
-        scenario: whose changers it drives.
-        mu: structure of mu.
+        scenario: whose agents it drives.
+        mu: structure of mu; of followers ``mlp``.
         hidden_sizes: widths of the hidden layers of each network.
+        role: of the agents.
         knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
             of the yaw acceleration in it; otherwise it is a plain parabola.
     """
-    seen = CHANGER.seen(scenario)
-    low, high = (bound.tolist() for bound in CHANGER.action_bounds(scenario))
-    costs = [0.0] * len(low)
+    form = network_form(role, scenario)
+    costs = [0.0] * len(form["action_low"])
     if knows_action_cost and mu.startswith("cascade"):
         costs[0] = scenario.reward.yaw_acceleration_weight
-    return NAFNetwork(
-        [feature.name for feature in seen],
-        low,
-        high,
-        mu=mu,
-        hidden_sizes=hidden_sizes,
-        offsets=[feature.offset for feature in seen],
-        scales=[feature.scale for feature in seen],
-        action_costs=costs,
-    )
-
-
-def make_follower_network(
-    scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
-) -> NAFNetwork:
-    """An untrained network of the learned followers; its mu is the general one."""
-    low, high = (bound.tolist() for bound in FOLLOWER.action_bounds(scenario))
-    return NAFNetwork(
-        [feature.name for feature in FOLLOWER.features],
-        low,
-        high,
-        mu="mlp",
-        hidden_sizes=hidden_sizes,
-        offsets=[feature.offset for feature in FOLLOWER.features],
-        scales=[feature.scale for feature in FOLLOWER.features],
-    )
+    return NAFNetwork(**form, mu=mu, hidden_sizes=hidden_sizes, action_costs=costs)
 
 
 def make_actor_network(
-    scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES
+    scenario: Scenario, hidden_sizes: Sequence[int] = _HIDDEN_SIZES, *, role: Role = CHANGER
 ) -> ActorNetwork:
-    """An untrained actor of the changers, for their features and action bounds."""
-    seen = CHANGER.seen(scenario)
-    low, high = (bound.tolist() for bound in CHANGER.action_bounds(scenario))
-    return ActorNetwork(
-        [feature.name for feature in seen],
-        low,
-        high,
-        hidden_sizes=hidden_sizes,
-        offsets=[feature.offset for feature in seen],
-        scales=[feature.scale for feature in seen],
-    )
+    """An untrained actor for the features and action bounds of a role."""
+    return ActorNetwork(**network_form(role, scenario), hidden_sizes=hidden_sizes)
 
 
 def save_checkpoint(path: Path, network: PolicyNetwork, scenario: str, transitions: int) -> None:
@@ -116,7 +84,7 @@ def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint[NAFNetwork]:
         CheckpointError: as for ``load_policy``, or it is not a checkpoint of NAF.
     """
     found = read_checkpoint(path)
-    _check_fit(path, found.network, scenario)
+    check_fit(path, found.network, CHANGER, scenario)
     return found
 
 
@@ -136,21 +104,5 @@ def load_policy(path: Path, scenario: Scenario) -> Checkpoint[PolicyNetwork]:
             f"checkpoint {path}: not a checkpoint of the forms {', '.join(map(repr, FORMATS))}"
         )
     found = build_checkpoint(path, content, kind)
-    _check_fit(path, found.network, scenario)
+    check_fit(path, found.network, CHANGER, scenario)
     return found
-
-
-def _check_fit(path: Path, network: PolicyNetwork, scenario: Scenario) -> None:
-    whose = f"the changers of scenario {scenario.name!r} have"
-    features = list(scenario.observation.features)
-    if network.features != features:
-        raise CheckpointError(
-            f"checkpoint {path}: its features are {network.features}, {whose} {features}"
-        )
-    config = network.config
-    bounds = [bound.tolist() for bound in CHANGER.action_bounds(scenario)]
-    if [config["action_low"], config["action_high"]] != bounds:
-        raise CheckpointError(
-            f"checkpoint {path}: its action bounds are {config['action_low']} to "
-            f"{config['action_high']}, {whose} {bounds[0]} to {bounds[1]}"
-        )

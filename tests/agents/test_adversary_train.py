@@ -19,9 +19,9 @@ from omegaconf import OmegaConf
 from marl_lanes import Simulator, load_scenario
 from marl_lanes.envs.followers import find_policies, load_follower
 from marl_lanes.naf.checkpoint import CheckpointError, read_checkpoint
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
-    make_follower_network,
     make_network,
     save_checkpoint,
 )
@@ -346,7 +346,10 @@ def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, o
 @pytest.mark.parametrize(
     ("network", "message"),
     [
-        (make_follower_network(PAPER, [8]), "its features are .* the changers of scenario 'busy'"),
+        (
+            make_network(PAPER, "mlp", [8], role=FOLLOWER),
+            "its features are .* the changers of scenario 'busy'",
+        ),
         (
             make_network(load_scenario("paper", {"observation": {"features": ["speed"]}}), "mlp"),
             r"its features are \['speed'\], the changers of scenario 'busy' have \['speed', ",

@@ -19,9 +19,9 @@ from marl_lanes import ScenarioError, experiment, load_scenario
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
-    make_follower_network,
     make_network,
     save_checkpoint,
 )
@@ -287,7 +287,10 @@ def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path,
     ("network", "message"),
     [
         (None, r"i\.pt: cannot be read"),
-        (make_follower_network(PAPER, [8]), r"i\.pt: its features .* changers of .* 'paper'"),
+        (
+            make_network(PAPER, "mlp", [8], role=FOLLOWER),
+            r"i\.pt: its features .* changers of .* 'paper'",
+        ),
         (make_network(PAPER, "damped", [8]), r"network\.mu = 'cascade': must be 'damped'.*i\.pt"),
         (make_network(PAPER, "cascade", [9]), r"network\.hidden_sizes = \[8\]: must be \[9\]"),
     ],

@@ -15,7 +15,7 @@ from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
 from marl_lanes.traffic.roles.follower import FOLLOWER
-from marl_lanes.training.checkpoint import make_follower_network, make_network, save_checkpoint
+from marl_lanes.training.checkpoint import make_network, save_checkpoint
 
 torch.set_num_threads(1)
 
@@ -283,7 +283,7 @@ def saved(path, network):
 
 def test_a_saved_follower_drives(tmp_path):
     torch.manual_seed(1)
-    network = make_follower_network(load_scenario("dense"))
+    network = make_network(load_scenario("dense"), "mlp", role=FOLLOWER)
     overrides = {**FEW, **saved(tmp_path / "follower.pt", network)}
     scenario = load_scenario("dense", overrides)
     policy = find_policies(scenario)["learned"]
@@ -319,7 +319,7 @@ def test_a_checkpoint_of_another_kind_is_refused_by_its_name(tmp_path, form):
     with pytest.raises(CheckpointError, match=r"changer\.pt: its features are \['speed', 'accele"):
         form("paper", overrides=overrides)
     weak = load_scenario("paper", {"followers": {"external": {"max_braking": 2.0}}})
-    overrides = saved(tmp_path / "weak.pt", make_follower_network(weak))
+    overrides = saved(tmp_path / "weak.pt", make_network(weak, "mlp", role=FOLLOWER))
     with pytest.raises(CheckpointError, match=r"weak\.pt: its action bounds are .*\[-2\.0\].*-3"):
         form("paper", overrides=overrides)
     path.write_bytes(b"no checkpoint")

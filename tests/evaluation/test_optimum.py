@@ -414,7 +414,7 @@ def test_each_weight_scales_its_own_term():
     base = lane_change(speed, PASSING).total_return
     doubled = lane_change(speed, PASSING, reward=weights)
     assert doubled.total_return == pytest.approx(2.0 * base)
-    # What is left is the deviation, and the fastest change under the action's bound.
+    # Only the deviation costs, so the optimum is the fastest change within the action's bound.
     weights |= {"yaw_acceleration_weight": 0.0, "yaw_rate_weight": 0.0}
     fastest = lane_change(speed, PASSING, reward=weights)
     scenario = scenario_of(PASSING)

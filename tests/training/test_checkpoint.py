@@ -14,7 +14,6 @@ from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
-    make_follower_network,
     make_network,
     save_checkpoint,
 )
@@ -271,7 +270,7 @@ def test_a_followers_network_is_the_scenarios(tmp_path):
     scenario = load_scenario(
         "paper", {"followers": {"external": {"max_acceleration": 2.25, "max_braking": 4.1}}}
     )
-    network = make_follower_network(scenario, [8])
+    network = make_network(scenario, "mlp", [8], role=FOLLOWER)
     assert network.features == [feature.name for feature in FOLLOWER.features]
     assert network.config["action_low"] == [np.float32(-4.1)]
     assert network.config["action_high"] == [2.25]
@@ -289,7 +288,7 @@ def test_a_followers_network_is_the_scenarios(tmp_path):
 def test_one_kind_of_agent_is_not_the_other(path, tmp_path):
     with pytest.raises(CheckpointError, match=r"policy\.pt: its features"):
         load_follower(path, PAPER)
-    save_checkpoint(tmp_path / "f.pt", make_follower_network(PAPER, [8]), "paper", 3)
+    save_checkpoint(tmp_path / "f.pt", make_network(PAPER, "mlp", [8], role=FOLLOWER), "paper", 3)
     with pytest.raises(CheckpointError, match=r"f\.pt: its features .* changers of .*'paper'"):
         load_checkpoint(tmp_path / "f.pt", PAPER)
 

@@ -12,7 +12,7 @@ from marl_lanes.traffic.command.outcome import has_arrived
 from marl_lanes.traffic.driving.dispositions import drive_alone, yield_to
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import NONE, Disposition
-from marl_lanes.traffic.road.geometry import is_body_in, lane_centre, road_turn_rate
+from marl_lanes.traffic.road.geometry import is_body_in, is_wholly_in, lane_centre, road_turn_rate
 from marl_lanes.traffic.road.neighbors import neighbor_in_lane
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
@@ -25,7 +25,7 @@ def _is_settled(car: Any, arcs: Any, constants: Any) -> bool:
     """Whether the body is in the lane that the car keeps, within the completion criterion."""
     deviation = lane_centre(car.lane, constants.lane_width) - car.lateral_position
     turning = car.yaw_rate - road_turn_rate(car, arcs)
-    is_inside = car.lane_low == car.lane == car.lane_high
+    is_inside = is_wholly_in(car)
     return bool(is_inside and has_arrived(deviation, car, turning, constants))
 
 

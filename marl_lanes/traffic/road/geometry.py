@@ -92,6 +92,13 @@ def is_body_in(car: Any, lane: int) -> Any:
 
 
 @internal
+def is_wholly_in(car: Any) -> Any:
+    """Whether the body overlaps the lane that the car keeps, and no other."""
+    # No ``and``, so that it also takes columns of a table.
+    return (car.lane_low == car.lane) & (car.lane == car.lane_high)
+
+
+@internal
 def is_off_road(car: Any, extent: float, constants: Any) -> bool:
     """Whether the body is beyond an edge of the road, or the car no longer faces along it.
 

@@ -1,57 +1,14 @@
-"""Motion along the road, and lane keeping on it."""
+"""Integration of a vehicle's motion along the road."""
 
 import math
 
 import numpy as np
 import pytest
-from staging import command, stage
+from staging import advance, command, one_arc, place, stage
 
-from marl_lanes.scenario import ScenarioError, load_scenario
 from marl_lanes.traffic.machine.state import Phase
-from marl_lanes.traffic.road.geometry import curvature_at, road_turn_rate
-from marl_lanes.traffic.road.lane_keeping import keep_lane
-from marl_lanes.traffic.road.motion import integrate
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import Simulator
-
-NO_COMMANDS = {"command": {"probability": 0.0}}
-
-
-def one_arc(radius, **overrides):
-    arcs = [{"start": 0.0, "end": 900.0, "radius": radius, "transition": 0.0}]
-    return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides})
-
-
-def place(simulator, **values):
-    """The first vehicle of a simulator, at rest in lane 0's centre but for ``values``."""
-    car = simulator.vehicles[0, 0]
-    for name in ("position", "acceleration", "yaw", "yaw_rate", "yaw_acceleration", "lane"):
-        car[name] = 0
-    car["lateral_position"], car["speed"] = 1.875, 20.0
-    for name, value in values.items():
-        car[name] = value
-    return car
-
-
-def advance(simulator, car, *, is_keeping=True):
-    arcs, constants = simulator.parameters.arcs, simulator.parameters.constants[0]
-    turn_rate = road_turn_rate(car, arcs)
-    if is_keeping:
-        car["yaw_acceleration"] = keep_lane(car, turn_rate, constants)
-    integrate(car, turn_rate, arcs, constants)
-
-
-def test_the_curvature_is_a_step_or_rises_and_falls_linearly():
-    arcs = [
-        {"start": 150.0, "end": 450.0, "radius": 500.0, "transition": 0.0},
-        {"start": 550.0, "end": 850.0, "radius": -500.0, "transition": 100.0},
-    ]
-    found = Simulator("paper", overrides={"road": {"arcs": arcs}}).parameters.arcs
-    step = {149.99: 0.0, 150.0: 0.002, 449.99: 0.002, 450.0: 0.0}
-    ramp = {549.0: 0.0, 550.0: 0.0, 575.0: -0.0005, 649.0: -0.00198, 650.0: -0.002, 750.0: -0.002}
-    ramp |= {800.0: -0.001, 849.0: -0.00002, 850.0: 0.0, 999.0: 0.0}
-    for place, curvature in (step | ramp).items():
-        assert curvature_at(found, place) == pytest.approx(curvature, abs=1e-15), place
 
 
 def test_one_step_by_hand():
@@ -175,53 +132,3 @@ def test_mirrored_arcs_give_mirrored_motion(radius):
         assert image["position"] == car["position"]
         for name in ("lateral_position", "yaw", "yaw_rate", "yaw_acceleration"):
             assert image[name] == -car[name], name
-
-
-@pytest.mark.parametrize("radius", [500.0, -500.0])
-def test_lane_keeping_holds_the_centre_through_an_arc(radius):
-    arcs = [{"start": 150.0, "end": 850.0, "radius": radius, "transition": 0.0}]
-    simulator = Simulator("paper", 2, overrides={**NO_COMMANDS, "road": {"arcs": arcs}})
-    simulator.reset()
-    largest = settled = 0.0
-    for _ in range(600):
-        simulator.step()
-        cars = simulator.vehicles[simulator.vehicles["id"] >= 0]
-        error = np.abs(cars["lateral_position"] - 3.75 * (cars["lane"] + 0.5))
-        largest = max(largest, error.max())
-        # Seven seconds at 33 m/s after the arc has begun.
-        is_far_in = (cars["position"] > 400.0) & (cars["position"] < 850.0)
-        settled = max(settled, error[is_far_in].max(initial=0.0))
-    assert 0.05 < largest < 0.25
-    assert settled < 0.02
-
-
-@pytest.mark.parametrize("speed", [5.0, 15.0, 35.0])
-@pytest.mark.parametrize("lateral", [1.0, 3.0])
-def test_lane_keeping_returns_to_the_centre(speed, lateral):
-    simulator = Simulator("paper")
-    car = place(simulator, speed=speed, lateral_position=lateral, yaw=0.02, yaw_rate=0.02)
-    for _ in range(150):
-        advance(simulator, car)
-        assert abs(car["yaw_acceleration"]) <= 0.5
-    assert car["lateral_position"] == pytest.approx(1.875, abs=1e-3)
-    assert car["yaw"] == pytest.approx(0.0, abs=1e-4)
-
-
-@pytest.mark.parametrize("time_step", [0.01, 0.1, 0.125, 0.2, 0.3, 0.5])
-@pytest.mark.parametrize("pole", [0.2, 1.5, 2.5, 3.0])
-def test_lane_keeping_is_stable_or_refused(pole, time_step):
-    fields = {
-        "time_step": time_step,
-        "lane_keeping": {"pole": pole, "max_yaw_acceleration": 5.0},
-        **NO_COMMANDS,
-    }
-    if pole * time_step > 0.5:
-        with pytest.raises(ScenarioError, match=r"lane_keeping\.pole"):
-            load_scenario("paper", fields)
-        return
-    scenario = load_scenario("paper", fields)
-    simulator = Simulator(scenario)
-    car = place(simulator, lateral_position=1.875 + 0.1)
-    for _ in range(round(15.0 / (pole * time_step))):
-        advance(simulator, car)
-    assert abs(car["lateral_position"] - 1.875) < 0.01
