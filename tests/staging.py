@@ -36,6 +36,13 @@ def damped_actions(simulator, noise=0.0, generator=None):
     return actions
 
 
+def rows_of(table):
+    """The rows of a table as dictionaries of plain values, which are quick to read and compare."""
+    names = table.dtype.names
+    columns = [table[name].tolist() for name in names]
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
 def stage(simulator, *cars, env=0):
     """Empty a road and place these cars, each a dict of fields, in slots 0, 1, ...
 

@@ -93,6 +93,7 @@ def test_the_pages_are_found_and_linked_from_their_index():
     assert {page.name for page in DOCS.glob("*.md")} - {"README.md"} <= linked
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", with_blocks(), ids=lambda page: page.name)
 def test_every_example_runs(page, tmp_path):
     """The page's blocks in order, each with its own names, in one process in an empty folder."""

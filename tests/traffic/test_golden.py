@@ -20,6 +20,7 @@ def test_every_scenario_is_recorded():
     assert set(RECORDED["long"]) == set(RECORDED["short"]) == set(golden.SCENARIOS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", golden.SCENARIOS)
 def test_trajectories_are_those_recorded(name):
     found = golden.record(name, **golden.LONG)
@@ -29,6 +30,7 @@ def test_trajectories_are_those_recorded(name):
     assert [field for field in found if found[field] != recorded[field]] == []
 
 
+@pytest.mark.slow
 def test_interpreted_kernels_give_the_same_trajectories():
     names = ["learned", "mixed", "curved"]
 

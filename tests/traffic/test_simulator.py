@@ -267,6 +267,7 @@ json.dump(result, sys.stdout)
 """
 
 
+@pytest.mark.slow
 def test_the_interpreted_kernel_is_the_compiled_one():
     """All kernels also run as plain Python, for coverage and debuggers."""
     overrides = {

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from staging import command, damped_actions, stage
+from staging import command, damped_actions, rows_of, stage
 
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 from marl_lanes.traffic.simulator import Simulator
@@ -47,22 +47,24 @@ def shuffle(simulator, vehicle_places, agent_places):
 
 def story(simulator):
     """The state of road 0 by ids and commands instead of slots."""
-    state, cars = simulator.state, simulator.vehicles[0]
-    ids, commands = np.append(cars["id"], -1), np.append(simulator.agents[0]["command"], -1)
-    told = {("road", name): state.roads[0][name] for name in state.roads.dtype.names}
-    for car in cars[cars["id"] >= 0]:
-        named = {name: car[name] for name in car.dtype.names}
-        named |= {"changer": ids[car["changer"]], "agent": commands[car["agent"]]}
-        told |= {("car", car["id"], name): value for name, value in named.items()}
-    for slot, agent in enumerate(simulator.agents[0]):
+    state, cars, agents = (
+        simulator.state,
+        rows_of(simulator.vehicles[0]),
+        rows_of(simulator.agents[0]),
+    )
+    ids = [*(car["id"] for car in cars), -1]
+    commands = [*(agent["command"] for agent in agents), -1]
+    told = {"road": rows_of(state.roads)[0]}
+    for car in cars:
+        if car["id"] >= 0:
+            named = {"changer": ids[car["changer"]], "agent": commands[car["agent"]]}
+            told["car", car["id"]] = car | named
+    for slot, (agent, behind) in enumerate(zip(agents, rows_of(state.followers[0]), strict=True)):
         if agent["vehicle"] < 0:
             continue
-        behind = state.followers[0, slot]
-        for row in (agent, behind):
-            named = {name: row[name].tolist() for name in row.dtype.names}
-            named |= {name: ids[row[name]] for name in VEHICLE_INDICES if name in named}
-            kind = len(named)
-            told |= {(kind, agent["command"], name): value for name, value in named.items()}
+        for kind, row in (("agent", agent), ("behind", behind)):
+            named = {name: ids[row[name]] for name in VEHICLE_INDICES if name in row}
+            told[kind, agent["command"]] = row | named
         told["seen", agent["command"]] = state.observations[0, slot].tobytes()
         told["seen behind", agent["command"]] = state.follower_observations[0, slot].tobytes()
     return told

@@ -201,6 +201,7 @@ def test_an_engaged_changer_from_the_other_side_counts_as_being_in_the_lane():
             assert simulator.agents[0, 1]["target_leader"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["car_following", "kinematic"])
 @pytest.mark.parametrize("form", ["max", "sum", "acc"])
 def test_no_vehicle_collides_in_busy_traffic(rule, form):

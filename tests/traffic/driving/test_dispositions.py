@@ -12,6 +12,7 @@ from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.training.checkpoint import make_network
 
 torch.set_num_threads(1)
+pytestmark = pytest.mark.slow
 
 KINDS = ("cooperative", "neutral", "adversarial")
 
@@ -34,11 +35,11 @@ def interval(values):
 
 @pytest.fixture(scope="module")
 def maneuvers():
-    """4,000 with each kind, in the same dense traffic, with the rule that accepts narrow gaps."""
+    """2,000 with each kind, in the same dense traffic, with the rule that accepts narrow gaps."""
     found = {}
     for kind in KINDS:
         scenario = load_scenario(scenario_of("dense", kind), {"gap": {"rule": "kinematic"}})
-        found[kind] = run_maneuvers(scenario, prior(scenario), 4000)
+        found[kind] = run_maneuvers(scenario, prior(scenario), 2000)
     return found
 
 
@@ -74,13 +75,13 @@ def test_the_gap_closes_by_disposition_between_engagement_and_entry(attempts):
         kind: interval([gap_at_end(one) - one.start[2] for one in attempts[kind].values()])
         for kind in KINDS
     }
-    assert min(len(attempts[kind]) for kind in KINDS) > 3600
+    assert min(len(attempts[kind]) for kind in KINDS) > 1800
     assert changes["cooperative"][0] > changes["neutral"][1], changes
     assert changes["neutral"][0] > changes["adversarial"][1], changes
 
 
 def test_the_gap_at_entry_is_ordered_where_the_engagement_is_the_same(attempts):
-    """The first 1,000 near engagements that are equal, and enter the lane, with every kind.
+    """The near engagements that are equal, and enter the lane, with every kind.
 
     The 99 % intervals of the mean gaps do not overlap, and those of the differences are above 0.
     """
@@ -88,8 +89,8 @@ def test_the_gap_at_entry_is_ordered_where_the_engagement_is_the_same(attempts):
     rows = [[attempts[kind][key] for kind in KINDS] for key in sorted(common)]
     rows = [row for row in rows if all(one.entry is not None for one in row)]
     gaps = np.asarray([[one.gap_at_entry for one in row] for row in rows])
-    near = gaps[[row[0].start[2] < NEAR_GAP for row in rows]][:1000]
-    assert len(near) == 1000
+    near = gaps[[row[0].start[2] < NEAR_GAP for row in rows]]
+    assert len(near) > 500
     means = [interval(column) for column in near.T]
     for column in (0, 1):
         assert means[column][0] > means[column + 1][1], means

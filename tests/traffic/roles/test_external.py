@@ -244,6 +244,7 @@ def count_collisions(guarded):
     return int(simulator.roads["num_collisions"].sum()), num_paired
 
 
+@pytest.mark.slow
 def test_only_with_the_guard_a_reckless_policy_does_not_collide():
     """2,000 maneuvers with followers that always want 3 m/s^2, with and without the guard."""
     collisions, num_paired = count_collisions(guarded=True)
