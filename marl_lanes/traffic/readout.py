@@ -107,7 +107,7 @@ _FLAG, _OUTCOME = np.empty((1, 1), np.bool_), np.empty((1, 1), np.int64)
 
 @cache
 def _masks_kernel() -> Callable[..., None]:
-    """The kernel, compiled for the types of all its calls, as the next two."""
+    """The kernel, compiled for the types of all its calls; so are the next two."""
     return entry_point(_read_masks, (np.empty((1, 1), CHANGER.dtype), False, *[_FLAG] * 3))
 
 

@@ -24,7 +24,7 @@ def is_gap_wide(rear: Any, front: Any, constants: Any) -> bool:
 
 @internal
 def is_following_safe(rear: Any, front: Any, braking: float, profiles: Any, constants: Any) -> bool:
-    """Rule car_following: gap >= d_min, and the rear driver's car following >= -braking.
+    """Rule car_following: gap >= d_min, and the rear driver's acceleration >= -braking.
 
     Source: the safety criterion of MOBIL; Kesting, Treiber, Helbing 2007, eq. 2.
     """

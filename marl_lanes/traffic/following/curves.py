@@ -27,8 +27,8 @@ def curve_speed(
     min over the positions p ahead of sqrt(a_lat/|k(p)| + 2 b max(0, p - s - preview)), where
     k = c/(1 - c d) is the curvature of the path at the present lateral position d. For each
     arc the minimum is at the largest curvature within the preview or, beyond the preview, in its
-    first clothoid, of length L, with the curvature x c/L at x. There the sum is least at
-    x = sqrt(a_lat L/(2 b |c|)) if x < L, otherwise at the clothoid's end.
+    first clothoid, of length L, with the curvature x c/L at the distance x from its start.
+    There the sum is least at x = sqrt(a_lat L/(2 b |c|)) if x < L, otherwise at the clothoid's end.
 
     Args:
         position: s [m].

@@ -1,4 +1,4 @@
-"""The state: name, dtype, unit and meaning of every array, in one place; and its allocation.
+"""The state: name, dtype, unit and meaning of every array in one place, and its allocation.
 
 Axes: E environments (roads), V vehicle slots, A agent slots, L lanes, C collision records, F
 features of an agent, G features of a follower, T terms of a role's reward. Follower k belongs to
@@ -224,7 +224,7 @@ class State:
     observations: NDArray[np.float32]
     """(E, A, F) features of the live agents; for an agent that just ended, its last ones."""
     follower_observations: NDArray[np.float32]
-    """(E, A, G) what the drivers behind the live agents in their target lanes see."""
+    """(E, A, G) observations of the live agents' target followers."""
 
     @property
     def arrays(self) -> tuple[NDArray[np.generic], ...]:

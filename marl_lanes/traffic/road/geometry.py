@@ -13,7 +13,7 @@ FloatArray = NDArray[np.float64]
 
 @compiled
 def arc_curvature(arc: Any, position: float) -> float:
-    """An arc's curvature at a position within it, linear in its clothoids; positive: left [1/m]."""
+    """An arc's curvature at a place in it [1/m], linear in its clothoids; positive bends left."""
     to_end = min(position - arc.start, arc.end - position)
     if to_end >= arc.transition:
         return float(arc.curvature)

@@ -52,7 +52,7 @@ class Term(NamedTuple):
     formula: Formula
     """Its weighted value; the module of the role names the arguments after the weight."""
     is_steering_cost: bool = False
-    """Whether it is a cost of a changer's steering, as in Eq. 13; the optimum must minimise it."""
+    """Whether it is a cost of steering: part of the return, Eq. 13; the optimum must include it."""
 
 
 class Dimension(NamedTuple):
