@@ -20,14 +20,17 @@ def test_every_scenario_is_recorded():
     assert set(RECORDED["long"]) == set(RECORDED["short"]) == set(golden.SCENARIOS)
 
 
+def assert_recorded(found, recorded):
+    assert recorded.keys() <= found.keys()
+    # A new term of a reward has the weight 0 here, and changes no trajectory.
+    assert all(".terms." in field for field in found.keys() - recorded.keys())
+    assert [field for field in recorded if found[field] != recorded[field]] == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", golden.SCENARIOS)
 def test_trajectories_are_those_recorded(name):
-    found = golden.record(name, **golden.LONG)
-
-    recorded = RECORDED["long"][name]
-    assert found.keys() == recorded.keys()
-    assert [field for field in found if found[field] != recorded[field]] == []
+    assert_recorded(golden.record(name, **golden.LONG), RECORDED["long"][name])
 
 
 @pytest.mark.slow
@@ -42,4 +45,6 @@ def test_interpreted_kernels_give_the_same_trajectories():
         check=True,
     )
 
-    assert json.loads(result.stdout) == {name: RECORDED["short"][name] for name in names}
+    found = json.loads(result.stdout)
+    for name in names:
+        assert_recorded(found[name], RECORDED["short"][name])
