@@ -35,7 +35,7 @@ def test_trajectories_are_those_recorded(name):
 
 @pytest.mark.slow
 def test_interpreted_kernels_give_the_same_trajectories():
-    names = ["learned", "mixed", "curved"]
+    names = list(golden.SCENARIOS)
 
     result = subprocess.run(
         [sys.executable, golden.__file__, "short", *names],
