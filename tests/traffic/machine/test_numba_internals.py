@@ -78,6 +78,7 @@ def test_a_kept_kernel_is_found(code, cache):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize(
     "damage",
@@ -94,6 +95,7 @@ def test_a_damaged_file_is_a_miss_and_is_mended(code, cache, suffix, damage):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 def test_zeros_amid_the_code_are_a_miss(code, cache):
     (path,) = cache.rglob("*.nbc")
     content = bytearray(path.read_bytes())
@@ -104,6 +106,7 @@ def test_zeros_amid_the_code_are_a_miss(code, cache):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "other",
     [
@@ -118,6 +121,7 @@ def test_what_others_have_kept_is_a_miss(code, cache, other):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 def test_a_full_disk(code, tmp_path):
     # Enough for the index, too little for the code: the index then lists what is not there.
     full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))"
@@ -129,6 +133,7 @@ def test_a_full_disk(code, tmp_path):
     assert run(code, tmp_path) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 def test_nowhere_to_write(tmp_path):
     (tmp_path / "tiny.py").write_text(TINY)
     file = tmp_path / "__pycache__"
@@ -142,6 +147,7 @@ def test_nowhere_to_write(tmp_path):
     assert run(tmp_path, below, **home) == ("4.0 0", message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -163,6 +169,7 @@ def test_a_numba_without_the_cache_that_is_known(code, tmp_path, name):
     assert not list(tmp_path.rglob("*.nb?"))
 
 
+@pytest.mark.slow
 def test_a_numba_without_the_options_that_save_time(code, tmp_path):
     assert run(code, tmp_path, GONE_OPTIONS) == ("4.0 0", "")
 
