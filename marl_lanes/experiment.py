@@ -1,4 +1,4 @@
-"""A training of the lane changers from its configuration to its report, whatever the algorithm."""
+"""A training of the lane changers from its configuration to its report, for any algorithm."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -27,15 +27,15 @@ from marl_lanes.training.transitions import CPU
 from marl_lanes.training.workers import choose_collector
 
 MakeAlgorithm = Callable[[LaneChangeEnv, Scenario, torch.device, torch.device], Algorithm]
-"""Makes an algorithm for the environment that it collects in, the scenario, and the devices where
-it learns and where it drives. Torch is seeded before."""
+"""Makes an algorithm from the environment that collects, the scenario, and the devices where it
+learns and acts. Torch's generator is seeded before."""
 
 
 def start(config: ChangersConfig, make_algorithm: MakeAlgorithm) -> tuple[Learner, Scenario]:
-    """A new run, or the one to resume; what is wrong with the config leaves nothing behind.
+    """Begin a new run, or resume one. After an error no file is left behind.
 
     Raises:
-        ConfigError, ScenarioError, CheckpointError: it cannot be.
+        ConfigError, ScenarioError, CheckpointError: the run cannot be made.
     """
     torch.set_num_threads(config.num_threads)
     scenario = load_scenario(config.scenario)
@@ -73,7 +73,7 @@ def start(config: ChangersConfig, make_algorithm: MakeAlgorithm) -> tuple[Learne
 
 
 def run(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:
-    """Train to the end, or until it is interrupted; report. A dead worker ends the program."""
+    """Train until the end or an interruption, and report. If a worker dies, the program ends."""
     try:
         _train(learner, config, scenario)
     except WorkerError as error:

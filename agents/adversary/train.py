@@ -131,7 +131,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def read(arguments: Sequence[str] | None = None) -> AdversaryConfig:
-    """The configuration that the command line and config.yaml come to."""
+    """The configuration of the command line and config.yaml."""
     fields = read_command_line(AdversaryConfig, FOLDER, str(__doc__), arguments)
     return read_config(AdversaryConfig, fields)
 

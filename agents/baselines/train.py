@@ -3,7 +3,7 @@
 python agents/baselines/train.py ALGORITHM [scenario=NAME] [seed=N] [output=DIR] [resume=RUN]
     [collector.kind=multi|ray num_workers=N [ray.address=HOST:PORT]] [any field of the config]
 
-ALGORITHM is td3; its YAML file here has its numbers, and ALGORITHM --help explains its fields.
+ALGORITHM is td3. Its YAML file in this folder has its values; ALGORITHM --help explains the fields.
 """
 
 import argparse
@@ -44,13 +44,13 @@ def make_td3(
     device: torch.device,
     acting_device: torch.device,
 ) -> TD3:
-    """TD3 on an untrained actor."""
+    """TD3 with an untrained actor."""
     network = make_actor_network(scenario, config.network.hidden_sizes)
     return TD3(config, env, network, device=device, acting_device=acting_device)
 
 
 class Baseline(NamedTuple):
-    """What an algorithm is told, and what makes it of that."""
+    """An algorithm's configuration, and the function that makes the algorithm."""
 
     config: type[ChangersConfig]
     make: Callable[[Any, LaneChangeEnv, Scenario, torch.device, torch.device], Algorithm]
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def read(algorithm: str, overrides: Sequence[str]) -> ChangersConfig:
-    """The configuration that the command line and the YAML files come to."""
+    """The configuration of the command line and the YAML files."""
     kind = BASELINES[algorithm].config
     fields = read_command_line(kind, FOLDER, str(__doc__), overrides, file=algorithm)
     return read_changers_config(kind, fields)

@@ -35,14 +35,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def read(arguments: Sequence[str] | None = None) -> TrainingConfig:
-    """The configuration that the command line and the YAML files come to."""
+    """The configuration of the command line and the YAML files."""
     choices = {"recipe": choose_recipe}
     fields = read_command_line(TrainingConfig, FOLDER, str(__doc__), arguments, choices)
     return read_changers_config(TrainingConfig, fields)
 
 
 def choose_recipe(fields: Fields) -> str:
-    """The recipe of a scenario, where none is named."""
+    """The recipe for the scenario, if the command line names none."""
     scenario = load_scenario(str(fields.get("scenario")))
     return "fast" if scenario.action.longitudinal is None else "interactive"
 
@@ -54,7 +54,7 @@ def make_algorithm(
     device: torch.device,
     acting_device: torch.device,
 ) -> NAF:
-    """NAF on the network as the training finds it."""
+    """NAF with the network that the training starts from."""
     network = start_network(config, scenario)
     return NAF(config, env, network, device=device, acting_device=acting_device)
 

@@ -23,7 +23,7 @@ class CheckpointError(ValueError):
 
 
 class PolicyNetwork(Protocol):
-    """What a network needs to be saved, and to drive; an ``nn.Module``."""
+    """What checkpoints and policies need of a network, which is an ``nn.Module``."""
 
     features: list[str]
     box: ActionBox
@@ -39,10 +39,10 @@ class PolicyNetwork(Protocol):
         """The weights."""
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> object:
-        """Take the weights."""
+        """Set the weights."""
 
     def to(self, device: torch.device) -> Self:
-        """Itself, moved."""
+        """The network itself, moved to the device."""
 
 
 Network = TypeVar("Network", bound=PolicyNetwork, covariant=True)
@@ -72,10 +72,13 @@ def read_checkpoint(path: Path) -> Checkpoint[NAFNetwork]:
 
 
 def read_content(path: Path) -> dict[str, Any]:
-    """What a checkpoint of any form holds, read without running any code from it.
+    """The content of a checkpoint of any form, read without running any code from it.
+
+    Returns:
+        the content; empty if the file holds something else than a mapping.
 
     Raises:
-        CheckpointError: not readable. What holds no mapping is read as an empty one.
+        CheckpointError: the file cannot be read.
     """
     try:
         content: Any = torch.load(path, map_location="cpu", weights_only=True)
@@ -90,15 +93,15 @@ def read_content(path: Path) -> dict[str, Any]:
 def build_checkpoint(
     path: Path, content: dict[str, Any], kind: Callable[..., Network]
 ) -> Checkpoint[Network]:
-    """A policy from its file's content.
+    """Make a checkpoint's network.
 
     Args:
-        path: of the file.
-        content: of the file, whose ``format`` is that of the kind.
+        path: the file, for messages.
+        content: its content, with the ``format`` of the network's class.
         kind: the network's class.
 
     Raises:
-        CheckpointError: a part is missing, or the parts do not fit each other.
+        CheckpointError: a part is missing, or the parts do not fit together.
     """
     try:
         network = kind(**content["config"])

@@ -1,4 +1,4 @@
-"""What is wrong with a mapping of fields, in words: field, value, what is allowed."""
+"""Messages about fields that are not valid: field, value, what is allowed."""
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
@@ -9,11 +9,11 @@ from pydantic import BaseModel, ValidationError
 
 
 def explain(error: ValidationError, kind: type[BaseModel]) -> str:
-    """One line of all problems: of each its field, its value and what is allowed.
+    """All problems in one line, each with field, value and what is allowed.
 
     Args:
-        error: of a validation.
-        kind: what was validated. A validator of a whole section says itself which field it is.
+        error: the error of a validation.
+        kind: the model that was validated. Validators of a whole section name the field themselves.
     """
     lines = []
     for problem in error.errors():
@@ -33,7 +33,7 @@ def explain(error: ValidationError, kind: type[BaseModel]) -> str:
 
 
 def unknown_key(location: str, allowed: Iterable[str]) -> str:
-    """What to say of a key that is not allowed: the nearest one that is, and all."""
+    """The message about an unknown key, with the nearest allowed key and all allowed keys."""
     names = list(allowed)
     near = get_close_matches(location.rpartition(".")[2], names, n=1)
     nearest = f"did you mean {near[0]}? " if near else ""
@@ -41,7 +41,7 @@ def unknown_key(location: str, allowed: Iterable[str]) -> str:
 
 
 def fields_at(kind: type[BaseModel], path: Sequence[str | int]) -> list[str] | None:
-    """The keys of the section at the path; None where there is no section."""
+    """The keys of the section at the path; None if there is no section."""
     found: Any = kind
     for part in path:
         if _is_section(found):
@@ -49,13 +49,13 @@ def fields_at(kind: type[BaseModel], path: Sequence[str | int]) -> list[str] | N
                 return None
             found = found.model_fields[str(part)].annotation
         else:
-            # dict[str, X] and tuple[X, ...]: what every entry is.
+            # dict[str, X] and tuple[X, ...]: the type of every entry.
             inner = get_args(found)
             if not inner:
                 return None
             found = inner[1 if get_origin(found) is dict else 0]
         if get_origin(found) in (Union, UnionType):
-            # A section that may be null.
+            # A section, or null.
             found = get_args(found)[0]
     return list(found.model_fields) if _is_section(found) else None
 

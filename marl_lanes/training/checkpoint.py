@@ -27,7 +27,7 @@ FORMATS: Mapping[str, Callable[..., PolicyNetwork]] = {
     FORMAT: NAFNetwork,
     "marl-lanes actor policy 1": ActorNetwork,
 }
-"""What a checkpoint's entry ``format`` says: which network it holds."""
+"""Class of the network by a checkpoint's entry ``format``."""
 
 _HIDDEN_SIZES = (64, 64)
 
@@ -81,7 +81,7 @@ def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint[NAFNetwork]:
     """Read a changers' checkpoint of NAF that fits the scenario.
 
     Raises:
-        CheckpointError: as of ``load_policy``, or it is of another form.
+        CheckpointError: as for ``load_policy``, or it is not a checkpoint of NAF.
     """
     found = read_checkpoint(path)
     check_fit(path, found.network, CHANGER, scenario)
@@ -91,7 +91,8 @@ def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint[NAFNetwork]:
 def load_policy(path: Path, scenario: Scenario) -> Checkpoint[PolicyNetwork]:
     """Read a changers' checkpoint of any form that fits the scenario.
 
-    It fits where features, in order, and action bounds are the same. No code in it is run.
+    It fits if the features, with their order, and the action bounds are the same. Code in it is
+    never run.
 
     Raises:
         CheckpointError: not readable, not a checkpoint, or it does not fit the scenario.

@@ -1,4 +1,4 @@
-"""A training program's command line: hydra composes it and the program's YAML files."""
+"""Command line of a training program: hydra composes it with the program's YAML files."""
 
 import argparse
 import sys
@@ -18,16 +18,16 @@ from marl_lanes.scenario.messages import fields_at, unknown_key
 from marl_lanes.training.config import ConfigError, ProgramConfig
 
 MAIN_FILE = "config"
-"""Of a program's YAML files the one that names the others."""
+"""The YAML file of a program that names the other ones."""
 
 HYDRA_VERSION = "1.3"
-"""Whose defaults hydra is to have."""
+"""The version whose defaults hydra uses."""
 
 Fields = dict[str, Any]
 """Plain values, nested."""
 
 Choices = Mapping[str, Callable[[Fields], str]]
-"""By name of a folder of YAML files: which of them, given what the rest comes to."""
+"""For a folder of YAML files, by name: which file to use, given the composed fields."""
 
 
 def read_command_line(
@@ -39,20 +39,20 @@ def read_command_line(
     *,
     file: str = MAIN_FILE,
 ) -> Fields:
-    """What the command line and the YAML files say, not yet checked.
+    """The fields of the command line and the YAML files, not yet checked.
 
-    ``--help`` and ``--cfg job`` end the program.
+    ``--help`` and ``--cfg job`` print and end the program.
 
     Args:
-        kind: the configuration, whose fields ``--help`` lists.
-        folder: of the program, with its YAML files.
-        description: of the program, for ``--help``.
-        arguments: of the command line; None: those of this process.
+        kind: the configuration; ``--help`` lists its fields.
+        folder: the program's folder, with its YAML files.
+        description: description of the program, for ``--help``.
+        arguments: the command line; None: that of this process.
         choices: as for ``compose_fields``.
         file: as for ``compose_fields``.
 
     Raises:
-        ConfigError: a key is unknown, or an option is no option.
+        ConfigError: a key is unknown, or an override cannot be read.
     """
     parser = argparse.ArgumentParser(
         description=description,
@@ -60,8 +60,10 @@ def read_command_line(
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="%(prog)s [FIELD=VALUE ...] [--cfg job]",
     )
-    parser.add_argument("overrides", nargs="*", metavar="FIELD=VALUE", help="as hydra takes them")
-    parser.add_argument("--cfg", choices=["job"], help="print the configuration, and end")
+    parser.add_argument(
+        "overrides", nargs="*", metavar="FIELD=VALUE", help="overrides in the syntax of hydra"
+    )
+    parser.add_argument("--cfg", choices=["job"], help="print the configuration and end")
     options = parser.parse_intermixed_args(arguments)
     fields = compose_fields(kind, folder, options.overrides, choices, file=file)
     if options.cfg is not None:
@@ -78,14 +80,14 @@ def compose_fields(
     *,
     file: str = MAIN_FILE,
 ) -> Fields:
-    """What hydra makes of a program's YAML files and the overrides.
+    """Compose a program's YAML files and the overrides with hydra.
 
     Args:
-        kind: the configuration, for the nearest name of an unknown key.
-        folder: of the YAML files.
+        kind: the configuration; messages about an unknown key name its nearest field.
+        folder: folder of the YAML files.
         overrides: ``FIELD=VALUE``, ``+FIELD=VALUE``, ``FOLDER=FILE``.
-        choices: files that are chosen by the rest, where no override names one.
-        file: the YAML file that names the others, without its ending.
+        choices: chooses files that no override names.
+        file: the YAML file that names the other ones, without its suffix.
 
     Raises:
         ConfigError: a key is unknown, or an override cannot be read.
@@ -115,7 +117,7 @@ def _keys(overrides: Sequence[str]) -> list[str]:
 
 
 def _explain(error: Exception, kind: type[ProgramConfig], overrides: Sequence[str]) -> str:
-    """What hydra refuses, in one line."""
+    """One line about what hydra does not accept."""
     if isinstance(error, MissingConfigException) and error.options:
         name, _, file = str(error.missing_cfg_file).partition("/")
         return f"{name} = {file!r}: must be {', '.join(error.options)}"
@@ -133,7 +135,7 @@ def _explain(error: Exception, kind: type[ProgramConfig], overrides: Sequence[st
 
 
 def _describe(kind: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    """Every field and its meaning."""
+    """A line for every field, with its meaning."""
     for name, field in kind.model_fields.items():
         inner = field.annotation
         if isinstance(inner, type) and issubclass(inner, BaseModel):

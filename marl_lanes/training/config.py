@@ -1,4 +1,4 @@
-"""What a training program is told: fields, limits, meanings; the values are in its YAML files."""
+"""Configuration of training programs: fields, limits, meanings. The values are in YAML files."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -62,7 +62,7 @@ class CollectorConfig(Section):
 
 
 class DistributedCollectorConfig(CollectorConfig):
-    """Where they are collected, too."""
+    """How and where transitions are collected."""
 
     kind: Literal["single", "multi", "ray"] = Field(
         description="single: in this process; multi: in processes of this machine; ray: on a Ray "
@@ -71,7 +71,7 @@ class DistributedCollectorConfig(CollectorConfig):
 
 
 class ReplayConfig(Section):
-    """What the updates are drawn from."""
+    """The replay buffer."""
 
     capacity: Number = Field(description="newest transitions kept")
     storage: Literal["memory", "memmap"] = Field(
@@ -130,7 +130,7 @@ class EvaluationConfig(Section):
     """How good the policy is, meanwhile and at the end."""
 
     metrics: ClassVar[tuple[str, ...]] = EVALUATED
-    """Those in the table of the saved models, the criterion among them."""
+    """Metrics in the table of the saved models; the criterion must be one of them."""
 
     save_interval: Number = Field(
         description="transitions between two saved models, each of which is evaluated"
@@ -149,10 +149,10 @@ class EvaluationConfig(Section):
 
     @property
     def saved_models_seed(self) -> int:
-        """Of the traffic of the saved models' evaluations.
+        """Seed of the traffic when a saved model is evaluated.
 
-        The best of many is a little better on the maneuvers that chose it: the final evaluation has
-        others.
+        The best of many models looks a little too good on the maneuvers that chose it, so the final
+        evaluation uses other ones.
         """
         return self.seed + 1
 
@@ -176,9 +176,9 @@ class LearnerConfig(Section):
 
 
 class ProgramConfig(Section):
-    """What every training program is told."""
+    """Fields of every training program."""
 
-    # For hydra a folder named 2024 is a number.
+    # Hydra reads the name of a folder 2024 as a number.
     model_config = ConfigDict(coerce_numbers_to_str=True)
 
     scenario: str = Field(
@@ -209,7 +209,7 @@ class RayConfig(Section):
 
 
 class ChangersConfig(LearnerConfig, ProgramConfig):
-    """What a program that trains the lane changers is told, whatever the algorithm."""
+    """Fields of every program that trains the lane changers."""
 
     collector: DistributedCollectorConfig
     num_workers: Number = Field(
@@ -242,15 +242,15 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def validate(kind: type[Model], fields: Mapping[str, Any], origin: str = "") -> Model:
-    """The fields as a ``kind``.
+    """Check the fields and make a ``kind`` of them.
 
     Args:
-        kind: what they are to be.
+        kind: the model.
         fields: plain values, nested.
-        origin: stands before what is wrong.
+        origin: text in front of the message.
 
     Raises:
-        ConfigError: one is out of range, of another type, unknown or missing.
+        ConfigError: a field is out of range, of another type, unknown or missing.
     """
     try:
         return kind.model_validate(fields)
@@ -259,10 +259,10 @@ def validate(kind: type[Model], fields: Mapping[str, Any], origin: str = "") -> 
 
 
 def read_config(kind: type[Config], fields: Mapping[str, Any]) -> Config:
-    """The configuration; that of the run to resume, where one is named.
+    """The configuration, or that of the run to resume, if ``fields`` names one.
 
     Raises:
-        ConfigError: it cannot be, or there is no run to resume, or one of another version.
+        ConfigError: a field is not valid, or there is no run to resume, or it has other fields.
     """
     if fields.get("resume") is None:
         return validate(kind, fields)
@@ -283,10 +283,10 @@ def read_config(kind: type[Config], fields: Mapping[str, Any]) -> Config:
 
 
 def read_changers_config(kind: type[ChangersKind], fields: Mapping[str, Any]) -> ChangersKind:
-    """As ``read_config``; the cluster may be another one when a run goes on.
+    """As ``read_config``; a resumed run may use another Ray cluster.
 
     Raises:
-        ConfigError: as of ``read_config``.
+        ConfigError: as for ``read_config``.
     """
     config = read_config(kind, fields)
     given = fields.get("ray")

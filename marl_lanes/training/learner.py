@@ -33,7 +33,7 @@ from marl_lanes.training.run_folder import (
     check_empty,
 )
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
-from marl_lanes.training.transitions import finished_maneuvers, live_transitions, send
+from marl_lanes.training.transitions import finished_maneuvers, live_transitions
 
 ROWS_AT_ONCE = 32_768
 """Rows read from the replay buffer together, for as many updates as they make."""
@@ -50,7 +50,7 @@ class Learner:
     Args:
         config: how it learns.
         env: that it collects in, or the pattern of the workers' environments.
-        algorithm: that it learns with. Random numbers are torch's own: seed them before it is made.
+        algorithm: its algorithm. Seed torch's generator before you make it.
         others: policies of other groups, modules that write their actions.
         make_collector: in this process, or in others. What it collects in is part of the training
             state.
@@ -180,7 +180,7 @@ class Learner:
         return batch
 
     def update(self, number: int) -> dict[str, Tensor]:
-        """So many updates on batches from the replay buffer.
+        """Make ``number`` updates on batches from the replay buffer.
 
         Returns:
             the losses by name, (number,) or fewer, on the device: the call does not wait for a GPU.
@@ -191,8 +191,6 @@ class Learner:
         left = number
         while left > 0:
             rows = self.replay.sample(min(left, at_once))
-            if self.config.replay.storage == "memmap":
-                rows = send(rows, self.algorithm.device)
             for batch in rows.unbind(0):
                 self.counters["updates"] += 1
                 found = self.algorithm.take_step(batch, int(self.counters["updates"]))
@@ -205,10 +203,7 @@ class Learner:
         """Store a collected batch, make the updates that are due, log both."""
         with self.timed("storing"):
             transitions = live_transitions(batch, self.group)
-            if self.config.replay.storage == "memory":
-                self.replay.extend(send(transitions, self.algorithm.device))
-            else:
-                self.replay.extend(transitions)
+            self.replay.extend(transitions)
             self.counters["transitions"] += len(transitions)
         with self.timed("learning"):
             config = self.config

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayBuffer
 
 from marl_lanes.training.config import ConfigError, ReplayConfig
-from marl_lanes.training.transitions import CPU
+from marl_lanes.training.transitions import CPU, send
 
 RARE = "is_aborting"
 """The column that says which transitions are rare."""
@@ -29,7 +29,7 @@ class Replay:
         folder: where ``storage: memmap`` has its files. They are working memory: what an earlier
             process left there is removed, for it may be half written.
         bytes_per_transition: size of a row.
-        device: where ``storage: memory`` is.
+        device: where the batches are needed, and where ``storage: memory`` is.
 
     Raises:
         ConfigError: the disk has too little room for the files and for the training state, which
@@ -44,12 +44,14 @@ class Replay:
         device: torch.device = CPU,
     ) -> None:
         self.batch_size = config.batch_size
+        self.device = device
+        self.is_in_memory = config.storage == "memory"
         self.num_rare = round(config.rare_share * config.batch_size)
         capacities = {"newest": config.capacity}
         if self.num_rare:
             capacities["rare"] = max(1, round(config.rare_share * config.capacity))
         shutil.rmtree(folder, ignore_errors=True)
-        if config.storage == "memmap":
+        if not self.is_in_memory:
             folder.parent.mkdir(parents=True, exist_ok=True)
             needed = int(2 * sum(capacities.values()) * bytes_per_transition)
             free = shutil.disk_usage(folder.parent).free
@@ -62,7 +64,7 @@ class Replay:
         self.rings = {
             name: TensorDictReplayBuffer(
                 storage=LazyTensorStorage(capacity, device=device)
-                if config.storage == "memory"
+                if self.is_in_memory
                 else LazyMemmapStorage(capacity, scratch_dir=str(folder / name))
             )
             for name, capacity in capacities.items()
@@ -73,7 +75,9 @@ class Replay:
         return len(self.rings["newest"])
 
     def extend(self, transitions: TensorDictBase) -> None:
-        """Add transitions, (N,), over the oldest ones."""
+        """Add transitions, (N,), which are on the CPU, over the oldest ones."""
+        if self.is_in_memory:
+            transitions = send(transitions, self.device)
         if len(transitions):
             self.rings["newest"].extend(transitions)
         if "rare" in self.rings and RARE in transitions.keys():  # noqa: SIM118
@@ -82,17 +86,21 @@ class Replay:
                 self.rings["rare"].extend(rare)
 
     def sample(self, number: int) -> TensorDictBase:
-        """So many batches, (number, batch_size)."""
+        """Draw ``number`` batches, (number, batch_size), on the device."""
+        rows = self._draw(number)
+        return rows if self.is_in_memory else send(rows, self.device)
+
+    def _draw(self, number: int) -> TensorDictBase:
         num_rare = self.num_rare
         if not num_rare or len(self.rings["rare"]) < num_rare:
-            return self._draw("newest", number, self.batch_size)
+            return self._draw_from("newest", number, self.batch_size)
         parts = [
-            self._draw("newest", number, self.batch_size - num_rare),
-            self._draw("rare", number, num_rare),
+            self._draw_from("newest", number, self.batch_size - num_rare),
+            self._draw_from("rare", number, num_rare),
         ]
         return torch.cat(parts, dim=1)
 
-    def _draw(self, ring: str, number: int, size: int) -> TensorDictBase:
+    def _draw_from(self, ring: str, number: int, size: int) -> TensorDictBase:
         # One draw of many batches gives the rows that as many draws would give.
         rows: TensorDictBase = self.rings[ring].sample(number * size)
         return rows.reshape(number, size)

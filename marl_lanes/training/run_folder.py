@@ -85,7 +85,7 @@ class RunFolder:
 
     Args:
         path: the folder; made when missing.
-        learned: what the algorithm tells of itself, columns of the table of metrics.
+        learned: columns of the algorithm in the table of metrics.
         until: None for a new run, which needs an empty folder; for one that is resumed, the
             transitions of its checkpoint, beyond which the logs are cut off.
         evaluated: the metrics in the table of the saved models.

@@ -1,1 +1,1 @@
-"""What a learner can learn with: losses, their optimisers, schedules and policies."""
+"""Algorithms of a learner: losses with their optimizers, schedules and policies."""

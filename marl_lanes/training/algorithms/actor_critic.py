@@ -1,4 +1,4 @@
-"""An actor and a critic without structure, for TorchRL's losses of deterministic policies."""
+"""Actor and critic networks without structure, for losses of deterministic policies."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +12,7 @@ from marl_lanes.naf.layers import ActionBox
 from marl_lanes.naf.network import Normaliser
 
 FIRST_SHARE = 0.01
-"""Of an actor's last layer's initial weights: its first actions are near the box's centre."""
+"""Factor of the initial weights of an actor's last layer: its first actions are near the centre."""
 
 
 class ActorNetwork(nn.Module):
@@ -75,12 +75,12 @@ class ActorNetwork(nn.Module):
             observation: (..., len(features)).
         """
         share = torch.tanh(self.layers(self.normalise(observation)))
-        # Rounding may leave the box.
+        # Rounding may put it outside the box.
         action: Tensor = self.box(self.box.centre + self.box.half_range * share)
         return action
 
     def policy(self) -> TensorDictModule:
-        """Itself, as the module that TorchRL takes."""
+        """The network as a TensorDict module."""
         return TensorDictModule(self, in_keys=["observation"], out_keys=["action"])
 
 
@@ -88,7 +88,7 @@ class CriticNetwork(nn.Module):
     """Q(s, a), a ReLU network of the normalised observation and of the action's share of its range.
 
     Args:
-        actor: of whose form it is; it has no parameters of it.
+        actor: the critic takes its features, scales and bounds, but shares no parameters with it.
         hidden_sizes: widths of the hidden layers.
     """
 

@@ -1,4 +1,4 @@
-"""What an algorithm is to the learner that trains with it."""
+"""The interface of an algorithm, which the learner uses."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -14,20 +14,20 @@ from marl_lanes.naf.checkpoint import PolicyNetwork
 
 
 class Algorithm(ABC):
-    """A loss, its optimiser and schedules, and the policy that collects.
+    """A loss with its optimizer and schedules, and the policy that collects.
 
-    It is off-policy: the learner draws batches of transitions from its replay buffer. Collecting,
-    replay, run folder, resuming and evaluating are the learner's.
+    The algorithm is off-policy: the learner draws batches of transitions from its replay buffer.
+    The learner also collects, stores, saves, resumes and evaluates.
 
     Attributes:
-        columns: of the table of metrics, what it tells: names of losses, among them ``loss``, and
-            of schedules.
-        pretraining_transitions: after which another stage begins; 0 where there is one stage.
-        network: that a checkpoint holds, with its greedy policy; where it learns.
-        loss: whose state, with all parameters and targets, is part of the training state.
-        optimizer: whose state is, too.
-        policy: drives the group while transitions are collected, exploration included.
-        group: that it drives.
+        columns: its columns in the table of metrics: the names of its losses, ``loss`` among them,
+            and of its schedules.
+        pretraining_transitions: transitions of a first stage; 0 if there is only one stage.
+        network: the network that checkpoints hold, on the device where it learns.
+        loss: TorchRL's loss; its state, with all parameters and targets, is saved for resuming.
+        optimizer: its state is saved for resuming, too.
+        policy: chooses the group's actions while transitions are collected, with exploration.
+        group: name of the group of agents.
         device: where it learns.
     """
 
@@ -42,25 +42,25 @@ class Algorithm(ABC):
 
     @abstractmethod
     def refresh_policy(self) -> None:
-        """Let the policy be what has been learned."""
+        """Copy the learned weights to the policy, if it has its own."""
 
     @abstractmethod
     def anneal(self, transitions: int) -> None:
-        """Set exploration, step sizes and stage for those that come after so many transitions."""
+        """Set exploration, step sizes and stage, given the number of transitions so far."""
 
     @abstractmethod
     def schedules(self) -> Mapping[str, float]:
-        """Where they stand, by column."""
+        """Current values of the schedules, by column."""
 
     @abstractmethod
     def take_step(self, batch: TensorDictBase, number: int) -> Mapping[str, Tensor]:
-        """One update of the networks, and what is due of the targets.
+        """Make one update of the networks, and of the targets if it is due.
 
         Args:
-            batch: transitions as ``live_transitions`` makes them, (batch_size,), on the device.
-            number: of the update, from 1.
+            batch: transitions from ``live_transitions``, (batch_size,), on the device.
+            number: number of the update, starting with 1.
 
         Returns:
-            losses by column, scalars on the device, without gradient: the call does not wait for a
-            GPU. What is not updated each time may be absent.
+            losses by column, scalars without gradient on the device, so that the call does not wait
+            for a GPU. A network that is not updated every time may leave out its loss.
         """

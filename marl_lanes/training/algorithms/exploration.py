@@ -1,4 +1,4 @@
-"""Gaussian noise on the greedy action of the agents that act."""
+"""Gaussian noise on the greedy actions of the agents that act."""
 
 import copy
 
@@ -13,20 +13,20 @@ from marl_lanes.training.transitions import CPU, LivePolicy
 
 
 class NoisyActor:
-    """A network's greedy policy with noise, which falls, where it drives.
+    """A network's greedy policy with noise that decreases.
 
     Args:
-        config: of the noise.
-        env: whose actions it clips to.
-        network: whose policy it is, where it learns.
-        group: that it drives.
-        device: of the network.
-        acting_device: where it drives: there, or elsewhere with a copy.
+        config: settings of the noise.
+        env: the noisy actions are clipped to its bounds.
+        network: the network that learns.
+        group: name of the group of agents.
+        device: device of the network.
+        acting_device: where the policy acts; on another device it acts with a copy of the network.
 
     Attributes:
-        network: that drives: the given one, or its copy.
+        network: the network that acts: the given one, or its copy.
         noise: TorchRL's module.
-        policy: writes the group's actions, noise included.
+        policy: writes the group's actions, with noise.
     """
 
     def __init__(
@@ -59,16 +59,16 @@ class NoisyActor:
 
     @property
     def sigma(self) -> float:
-        """The noise's standard deviation as a share of the half range."""
+        """Standard deviation of the noise, as a share of each action's half range [1]."""
         return float(self.noise.sigma)
 
     def refresh(self) -> None:
-        """Copy the weights, where it drives with a copy."""
+        """Copy the learned weights, if it acts with a copy."""
         if self.network is not self._learning:
             self.network.load_state_dict(self._learning.state_dict())
 
     def anneal(self, transitions: int) -> None:
-        """Set the noise for those that come after so many transitions."""
+        """Set the noise, given the number of transitions so far."""
         config = self.config
         share = min(1.0, transitions / max(1, config.annealing_transitions))
         sigma = config.initial_sigma

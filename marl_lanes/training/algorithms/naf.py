@@ -1,4 +1,4 @@
-"""NAF as an algorithm: one network, two stages, one loss."""
+"""NAF as an algorithm of the learner, and its configuration."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -43,7 +43,7 @@ class NAFLossConfig(Section):
 
 
 class NAFOptimizerConfig(OptimizerConfig):
-    """Adam for M and V, and for mu; ``final_rate`` is reached through stage two."""
+    """Adam for M and V, and for mu; the step sizes fall through stage two."""
 
     mu_learning_rate: Positive = Field(
         description="step size of mu: smaller, V keeps up with the policy that it has to value"
@@ -90,15 +90,15 @@ class TrainingConfig(NAFConfig, ChangersConfig):
 
 
 class NAF(Algorithm):
-    """Normalized advantage functions, in two stages: M and V, then mu as well.
+    """Normalized advantage functions in two stages: first M and V learn, then mu, too.
 
     Args:
-        config: how it learns.
-        env: in which it collects, or the pattern of the workers' environments.
-        network: of the group; moved to the device, and changed in place.
-        group: whose network it is.
-        device: where it learns.
-        acting_device: where it drives: there, too, or on the CPU, as in workers.
+        config: its settings.
+        env: the environment that collects, or the pattern of the workers' environments.
+        network: the group's network; it is moved to the device and changed in place.
+        group: name of the group of agents.
+        device: where the network learns.
+        acting_device: where it acts; in workers on the CPU.
     """
 
     columns = ("stage", "loss", "sigma")
@@ -118,7 +118,7 @@ class NAF(Algorithm):
         self.network: NAFNetwork = network.to(device)
         self.group = group
         self.device = device
-        # One tensor for what learns together: the optimiser's work is mostly a cost for each.
+        # One tensor for parameters that learn together: the optimizer's cost is mostly per tensor.
         parts = [*network.factor_logits.parameters(), *network.value.parameters()]
         self.joined = [join_parameters(part) for part in (parts, list(network.mu.parameters()))]
         self.gradients = [block.grad for block in self.joined if block.grad is not None]
@@ -142,11 +142,11 @@ class NAF(Algorithm):
         self.policy = self.actor.policy
 
     def refresh_policy(self) -> None:
-        """Let the policy be what has been learned."""
+        """Copy the learned weights to the policy, if it has its own."""
         self.actor.refresh()
 
     def anneal(self, transitions: int) -> None:
-        """Set noise, step sizes and stage for those that come after so many transitions."""
+        """Set noise, step sizes and stage, given the number of transitions so far."""
         self.actor.anneal(transitions)
         optimizer, stage_one = self.config.optimizer, self.pretraining_transitions
         stage_two = max(1, self.config.collector.total_transitions - stage_one)
@@ -160,11 +160,11 @@ class NAF(Algorithm):
         self.loss.value_network.mu_frozen = is_stage_one
 
     def schedules(self) -> Mapping[str, float]:
-        """The stage, and the noise as a share of the half range."""
+        """The stage, and the noise as a share of each half range."""
         return {"stage": 1 if self.network.mu_frozen else 2, "sigma": self.actor.sigma}
 
     def take_step(self, batch: TensorDictBase, number: int) -> Mapping[str, Tensor]:
-        """One update of the network, and the target's where it is due."""
+        """Make one update of the network, and of the target if it is due."""
         for gradient in self.gradients:
             gradient.zero_()
         loss: Tensor = self.compute_loss(batch)["loss"]

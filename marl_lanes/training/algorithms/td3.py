@@ -1,4 +1,4 @@
-"""TD3 as an algorithm: an actor, two critics, delayed updates of the actor and of all targets."""
+"""TD3 as an algorithm of the learner, and its configuration."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -21,7 +21,7 @@ from marl_lanes.training.config import LearnerConfig, Number, OptimizerConfig, W
 from marl_lanes.training.transitions import CPU
 
 NUM_CRITICS = 2
-"""The lower one's value is the target."""
+"""The target is the lower one of their values."""
 
 
 class TD3LossConfig(Section):
@@ -67,16 +67,17 @@ class TD3Config(LearnerConfig):
 class TD3(Algorithm):
     """Twin delayed deep deterministic policy gradient.
 
-    The critics' target is r + gamma (1 - terminated) min_i Q_i(s', a'; target), a' the target
-    actor's action with clipped noise, clipped to the bounds. The actor climbs the first critic.
+    The target of the critics is r + gamma (1 - terminated) min_i Q_i(s', a'; target), where a' is
+    the target actor's action with clipped noise, clipped to the bounds. The actor maximizes the
+    first critic.
 
     Args:
-        config: how it learns.
-        env: in which it collects, or the pattern of the workers' environments.
-        network: the actor; moved to the device, and changed in place.
-        group: whose actor it is.
-        device: where it learns.
-        acting_device: where it drives: there, too, or on the CPU, as in workers.
+        config: its settings.
+        env: the environment that collects, or the pattern of the workers' environments.
+        network: the actor; it is moved to the device and changed in place.
+        group: name of the group of agents.
+        device: where the networks learn.
+        acting_device: where the actor acts; in workers on the CPU.
 
     Source: Fujimoto et al. 2018, "Addressing Function Approximation Error in Actor-Critic Methods".
     """
@@ -106,7 +107,7 @@ class TD3(Algorithm):
             for _ in range(NUM_CRITICS)
         ]
         box = network.box
-        # TorchRL multiplies and clips by them: a tensor is a number for each action.
+        # TorchRL multiplies and clips with them; as tensors they have a value for each action.
         noise: Any = config.loss.target_noise * box.half_range
         bound: Any = config.loss.target_noise_bound * box.half_range
         self.loss = TD3Loss(
@@ -132,22 +133,22 @@ class TD3(Algorithm):
         self.policy = self.actor.policy
 
     def refresh_policy(self) -> None:
-        """Let the policy be what has been learned."""
+        """Copy the learned weights to the policy, if it has its own."""
         self.actor.refresh()
 
     def anneal(self, transitions: int) -> None:
-        """Set noise and step sizes for those that come after so many transitions."""
+        """Set noise and step sizes, given the number of transitions so far."""
         self.actor.anneal(transitions)
         share = min(1.0, transitions / self.config.collector.total_transitions)
         for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
             group["lr"] = rate * (1.0 - share * (1.0 - self.config.optimizer.final_rate))
 
     def schedules(self) -> Mapping[str, float]:
-        """The noise as a share of the half range."""
+        """The noise as a share of each half range."""
         return {"sigma": self.actor.sigma}
 
     def take_step(self, batch: TensorDictBase, number: int) -> Mapping[str, Tensor]:
-        """One update of the critics; of the actor and the targets where they are due."""
+        """Make one update of the critics, and of the actor and the targets if it is due."""
         loss, _ = self.loss.value_loss(batch)
         self._descend(loss, self.critic_parameters)
         if number % self.config.loss.actor_interval:
@@ -158,7 +159,7 @@ class TD3(Algorithm):
         return {"loss": loss.detach(), "actor_loss": actor_loss.detach()}
 
     def _descend(self, loss: Tensor, parameters: Sequence[nn.Parameter]) -> None:
-        """Move these parameters: Adam passes over the others, which have no gradient."""
+        """Update these parameters alone: Adam skips parameters without a gradient."""
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         if self.config.optimizer.max_gradient_norm is not None:
@@ -167,5 +168,5 @@ class TD3(Algorithm):
 
 
 def _parameters(params: Any) -> list[nn.Parameter]:
-    """Those of a loss's network, without its buffers."""
+    """The parameters of a loss's network, without its buffers."""
     return [one for one in params.values(True, True) if isinstance(one, nn.Parameter)]
