@@ -38,6 +38,7 @@ def test_a_printed_scenario_is_the_scenario(capsys, tmp_path, name):
     assert capsys.readouterr().out == text
 
 
+@pytest.mark.slow
 def test_an_evaluation_is_printed_and_written(capsys, tmp_path):
     file = tmp_path / "deep" / "result.json"
     assert main([*EVALUATE, "--seed", "5", "--scenario", "touch", "--json", str(file)]) == 0

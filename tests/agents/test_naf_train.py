@@ -261,7 +261,7 @@ def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, o
 
 
 def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(prepare(tmp_path))
     config = read(program, "collector=ray", "num_workers=2", "ray.address=10.0.0.1:1")
     assert config.ray.address == "10.0.0.1:1"
     write_config(tmp_path / "run" / "config.yaml", config)

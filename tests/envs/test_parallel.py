@@ -273,7 +273,7 @@ def test_actions_are_clipped_and_those_of_others_ignored():
 
 @pytest.mark.parametrize("scenario", list_scenarios())
 def test_long_random_rollouts_stay_in_the_spaces(scenario):
-    road = parallel_env(scenario, overrides={"num_agents": 20})
+    road = parallel_env(scenario, overrides={"num_agents": 10})
     for name in road.possible_agents:
         assert road.action_space(name) is road.action_space(name)
         assert road.observation_space(name) is road.observation_space(name)

@@ -78,6 +78,7 @@ def test_a_kept_kernel_is_found(code, cache):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize(
     "damage",
@@ -94,6 +95,7 @@ def test_a_damaged_file_is_a_miss_and_is_replaced(code, cache, suffix, damage):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 def test_zeros_within_the_code_are_a_miss(code, cache):
     (path,) = cache.rglob("*.nbc")
     content = bytearray(path.read_bytes())
@@ -104,6 +106,7 @@ def test_zeros_within_the_code_are_a_miss(code, cache):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "other",
     [
@@ -118,6 +121,7 @@ def test_a_kernel_of_another_version_is_a_miss(code, cache, other):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 def test_a_full_disk(code, tmp_path):
     # Enough for the index but not for the code: the index then lists a missing file.
     full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))"
@@ -129,6 +133,7 @@ def test_a_full_disk(code, tmp_path):
     assert run(code, tmp_path) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 def test_without_a_writable_folder(tmp_path):
     (tmp_path / "tiny.py").write_text(TINY)
     file = tmp_path / "__pycache__"
@@ -142,6 +147,7 @@ def test_without_a_writable_folder(tmp_path):
     assert run(tmp_path, below, **home) == ("4.0 0", message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -163,6 +169,7 @@ def test_a_numba_without_the_known_cache(code, tmp_path, name):
     assert not list(tmp_path.rglob("*.nb?"))
 
 
+@pytest.mark.slow
 def test_a_numba_without_the_options_that_save_time(code, tmp_path):
     assert run(code, tmp_path, GONE_OPTIONS) == ("4.0 0", "")
 
