@@ -1,4 +1,4 @@
-"""The kernel against the oracle of reference.py, step by step from the kernel's own state."""
+"""The kernel compared with reference.py, each step beginning from the kernel's own state."""
 
 import math
 from dataclasses import dataclass, field
@@ -61,7 +61,7 @@ OPEN_GAP = {"gap": {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0, "m
 
 @dataclass
 class Case:
-    """A scenario, how its agents are driven, and what must happen for the case to be worth it."""
+    """A scenario, the actions of its agents, and what must occur in the case."""
 
     scenario: str
     overrides: dict
@@ -306,7 +306,7 @@ def compare_followers(road, simulator, env):
 
 
 def met_behind(road):
-    """What happened to the drivers behind the changers."""
+    """What occurred to the drivers behind the changers."""
     for slot, follower in road.followers.items():
         yield "unpaired" if follower.car is None else "paired"
         yield from (term for term, value in follower.terms.items() if value)
@@ -316,12 +316,12 @@ def met_behind(road):
 
 
 def moving_over(road):
-    """The lanes of those who move over, by id."""
+    """The lanes of the vehicles that move over, by id."""
     return {car.id: car.lane for car in road.cars if car.moving_over}
 
 
 def met_beside(road, moving):
-    """What those did who moved over, or did before the step."""
+    """What occurred to the vehicles that move over, or did before the step."""
     for car in road.cars:
         if car.moving_over:
             yield "moving over"
@@ -346,7 +346,7 @@ def compare_road(road, simulator, env):
 
 
 def follow(case):
-    """Run the case, every step held against the oracle; the phases and outcomes that occurred."""
+    """Run the case and compare every step; returns the phases and outcomes that occurred."""
     simulator = Simulator(
         case.scenario,
         case.num_roads,
@@ -384,12 +384,12 @@ def follow(case):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_one_step_of_the_kernel_is_one_step_of_the_oracle(name):
+def test_one_step_of_the_kernel_is_one_step_of_the_reference(name):
     met = follow(CASES[name])
     assert met.issuperset(CASES[name].meets), f"this case does not meet {CASES[name].meets}: {met}"
 
 
-def test_a_move_that_is_taken_back_is_the_oracles():
+def test_a_move_that_is_taken_back_is_that_of_the_reference():
     fields = {"warmup": [0.0, 0.0], "observation": EVERY_FEATURE}
     simulator = Simulator("yielding", overrides=fields)
     simulator.reset()
@@ -403,7 +403,7 @@ def test_a_move_that_is_taken_back_is_the_oracles():
     met = set()
     for count in range(60):
         if count == 4:
-            # Somebody fast, close behind.
+            # A fast vehicle, close behind.
             other = simulator.vehicles[0, 2]
             other["position"], other["speed"] = simulator.vehicles[0, 0]["position"] - 6.0, 30.0
         road = Road.of(simulator)
