@@ -21,7 +21,7 @@ FILES = [".ci/run", "LICENSE", "Makefile", "README.md", "constraints.txt", "pypr
 MAX_LINES = 420
 
 UNTESTED = {
-    "training/algorithms/algorithm.py": "the interface of the algorithms; it has no code of its own",
+    "training/algorithms/algorithm.py": "the interface of the algorithms, without code",
 }
 """Modules without a test file of their name, and why."""
 

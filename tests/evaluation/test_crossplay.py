@@ -17,6 +17,7 @@ BUSY = load_scenario(
         "num_agents": 5,
         "departures": {"interval": [2.0, 4.0]},
         "command": {"probability": 1.0},
+        "road": {"length": 600.0},
         "max_vehicles": 128,
     },
 )
