@@ -105,3 +105,43 @@ def test_the_observed_car_following_is_the_one_that_is_driven():
 
 def test_a_scenario_can_name_every_feature_and_no_other():
     assert get_args(FeatureName) == tuple(feature.name for feature in CHANGER.features)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_features_are_relative_to_the_maneuver(direction):
+    """Lateral ones are positive toward the target lane; without a neighbor the gap is the range."""
+    names = [feature.name for feature in CHANGER.features]
+    simulator = simulator_of(observation={"features": names, "sensor_range": 60.0})
+    stage(
+        simulator,
+        {"lane": 1, "position": 200.0, "yaw": 0.01, "yaw_rate": 0.02},
+        {"lane": 1, "position": 240.0, "speed": 17.0},
+        {"lane": 1 + direction, "position": 120.0, "speed": 26.0},
+    )
+    agent = command(simulator, 0, direction)
+    simulator.step(np.full((1, simulator.num_slots, 1), 0.1))
+    car, leader, behind = simulator.vehicles[0, :3]
+    wanted = {
+        "speed": car["speed"],
+        "acceleration": car["acceleration"],
+        "lateral_deviation": direction * (5.625 + 3.75 * direction - car["lateral_position"]),
+        "lateral_speed": direction * car["speed"] * np.sin(car["yaw"]),
+        "yaw": direction * car["yaw"],
+        "yaw_rate": direction * car["yaw_rate"],
+        "curvature": 0.0,
+        "leader_gap": leader["position"] - car["position"] - 4.8,
+        "leader_relative_speed": leader["speed"] - car["speed"],
+        "follower_gap": 60.0,
+        "follower_relative_speed": 0.0,
+        "target_leader_gap": 60.0,
+        "target_leader_relative_speed": 0.0,
+        # It is 75 m behind, beyond the range.
+        "target_follower_gap": 60.0,
+        "target_follower_relative_speed": behind["speed"] - car["speed"],
+        "phase": Phase.ENGAGED,
+        "time": 0.1,
+        "distance_to_end": 1000.0 - car["position"],
+    }
+    seen = dict(zip(names, simulator.state.observations[0, agent].tolist(), strict=True))
+    del seen["car_following_acceleration"]
+    assert seen == pytest.approx(wanted, rel=1e-6, abs=1e-7)

@@ -1,7 +1,11 @@
-"""The reward of a paired driver."""
+"""The follower's observation and reward."""
 
+import numpy as np
 import pytest
 from external_followers import BRAKING, COLLISION, DELAY, DISCOMFORT, pair_of, pay
+
+from marl_lanes.traffic.machine.state import Phase
+from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
 
 
 def test_before_the_body_is_in_the_lane_the_delay_is_rewarded():
@@ -26,3 +30,23 @@ def test_a_collision_costs_its_penalty():
     assert simulator.roads["num_collisions"][0] == 1
     assert simulator.has_ended[0, slot]
     assert terms == pytest.approx([0.0, 0.0, -COLLISION, -DISCOMFORT * 9.0, 0.0])
+
+
+def test_the_driver_observes_the_changer_and_the_one_ahead_of_it():
+    simulator, slot = pair_of(gap=30.0, speeds=(22.0, 19.0))
+    driver, changer = simulator.vehicles[0, :2]
+    wanted = {
+        "speed": driver["speed"],
+        "acceleration": driver["acceleration"],
+        "gap": changer["position"] - driver["position"] - 4.8,
+        "relative_speed": changer["speed"] - driver["speed"],
+        "changer_lateral_deviation": 9.375 - changer["lateral_position"],
+        "changer_lateral_speed": changer["speed"] * np.sin(changer["yaw"]),
+        # Without a vehicle ahead in its lane.
+        "leader_gap": 200.0,
+        "leader_relative_speed": 0.0,
+        "phase": Phase.ENGAGED,
+    }
+    seen = simulator.state.follower_observations[0, slot]
+    found = {name: float(seen[column]) for name, column in FOLLOWER_COLUMNS.items()}
+    assert found == pytest.approx(wanted, rel=1e-6, abs=1e-7)
