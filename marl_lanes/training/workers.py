@@ -26,6 +26,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import MultiCollector
+from torchrl.weight_update import SharedMemWeightSyncScheme
 
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.scenario import Scenario
@@ -163,6 +164,7 @@ class ProcessCollector(Workers):
         super().__init__(policy, num_workers)
         self._dead: dict[int, int] = {}
         self._watcher: threading.Thread | None = None
+        self._scheme = SharedMemWeightSyncScheme()
         # MultiCollector takes threads away from torch, here and when it ends.
         self._num_threads = torch.get_num_threads()
         self._collector = MultiCollector(
@@ -174,6 +176,7 @@ class ProcessCollector(Workers):
             num_threads=self._num_threads,
             cat_results="stack",
             init_fn=ignore_interruptions,
+            weight_sync_schemes={"policy": self._scheme},
             auto_register_policy_transforms=False,
         )
         # Python waits at its end for processes that nobody has ended.
@@ -200,6 +203,9 @@ class ProcessCollector(Workers):
         """End the processes."""
         atexit.unregister(self.shutdown)
         self._collector.shutdown()
+        # Else it does so where it is freed, and at the end of Python it would wait for ever: it
+        # starts a thread.
+        self._scheme.shutdown()
         torch.set_num_threads(self._num_threads)
 
     def _watch(self) -> None:
