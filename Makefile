@@ -1,5 +1,6 @@
 # make train  - train the shared NAF policy on the paper's scenario, evaluate it, write the report
-# make test   - linters, import contract, type checker, tests
+# make check  - linters, import contract, type checker, the tests that neither train nor take long
+# make test   - the same with all tests
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch
 # Each sets up .venv when it is missing or out of date.
 
@@ -9,17 +10,33 @@ BIN := $(VENV)/bin
 RUN ?= runs/paper
 ARGS ?=
 
-.PHONY: train test benchmark clean
+# A file of tests stays in one process, which shares its trainings; files with long tests are first.
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
+# What stands before the tests of `check` and `test`, side by side.
+MAKEFLAGS += --jobs=2
+
+.PHONY: train check test lint types kernels benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
 
-test: $(VENV)/installed
+check: lint types kernels
+	$(PYTEST) -m "not (training or ray or slow)"
+
+test: lint types kernels
+	$(PYTEST)
+
+types: $(VENV)/installed
+	$(BIN)/mypy
+
+lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
-	$(BIN)/mypy
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+
+# Compiled once, before several processes would each do it.
+kernels: $(VENV)/installed
+	$(BIN)/python -c "from marl_lanes import Simulator; Simulator('paper').reset()"
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'

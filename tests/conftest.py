@@ -1,6 +1,60 @@
-"""Fixtures for tests of more than one folder."""
+"""Fixtures for tests of more than one folder, and what a test without a marker may not do."""
+
+import multiprocessing.process
+import os
+import re
+import subprocess
+import sys
 
 import pytest
+
+# Tests run in as many processes as there are cores: torch gets one thread in each.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+MARKERS = ("training", "ray", "slow")
+"""Of the tests that `make check` leaves out."""
+PROGRAM = re.compile(r"\b(agents|benchmarks)/\S*\.py\b")
+
+
+def is_quick(item):
+    return not any(item.get_closest_marker(name) for name in MARKERS)
+
+
+def pytest_collection_modifyitems(items):
+    """Files with long tests first: else a long one at the end would find the others idle."""
+    long = {item.path for item in items if not is_quick(item)}
+    items.sort(key=lambda item: item.path not in long)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """An unmarked test, with its fixtures, neither trains nor starts a program or a worker."""
+    if not is_quick(item):
+        return (yield)
+    with pytest.MonkeyPatch.context() as patch:
+        _refuse(patch, subprocess.Popen, "__init__", _runs_program)
+        _refuse(patch, multiprocessing.process.BaseProcess, "start")
+        module = sys.modules.get("marl_lanes.training.learner")
+        if module is not None:
+            _refuse(patch, module.Learner, "train")
+        return (yield)
+
+
+def _refuse(patch, owner, name, is_refused=lambda *_, **__: True):
+    """Make a method fail the test for the arguments that are refused."""
+    method = getattr(owner, name)
+
+    def refuse(*arguments, **options):
+        if is_refused(*arguments, **options):
+            pytest.fail(f"{owner.__name__}.{name}: mark the test `training`")
+        return method(*arguments, **options)
+
+    patch.setattr(owner, name, refuse)
+
+
+def _runs_program(_, command, *__, **___):
+    parts = [command] if isinstance(command, str | os.PathLike) else command
+    return any(PROGRAM.search(os.fspath(part)) for part in parts)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The training program as a process, on a tiny budget."""
+"""The training program, as a process and in this one, on a tiny budget."""
 
 import os
 import subprocess
@@ -6,22 +6,31 @@ import sys
 from pathlib import Path
 
 import torch
+from programs import BUSY
 
 PROGRAM = Path(__file__).parents[1] / "agents" / "naf" / "train.py"
 TINY = [
+    "scenario=busy.yaml",
     "num_threads=1",
+    "++training_overrides.warmup=[20.0,30.0]",
     "network.hidden_sizes=[8]",
-    "collector.num_envs=32",
+    "collector.num_envs=8",
     "collector.steps_per_batch=4",
-    "collector.total_transitions=500",
+    "collector.total_transitions=300",
     "replay.warmup_transitions=64",
     "replay.batch_size=16",
     "optimizer.transitions_per_update=1",
-    "optimizer.pretraining_transitions=200",
-    "evaluation.save_interval=150",
+    "optimizer.pretraining_transitions=120",
+    "evaluation.save_interval=100",
     "evaluation.num_maneuvers=2",
     "evaluation.final_num_maneuvers=3",
 ]
+
+
+def prepare(folder):
+    """The folder, with the scenario in it."""
+    (folder / "busy.yaml").write_text(BUSY, encoding="utf-8")
+    return folder
 
 
 def start(*options, folder, stderr=subprocess.PIPE):

@@ -1,8 +1,8 @@
-"""A slow oracle of one time step, in plain Python: the design page and the paper, nothing shared.
+"""A slow reference of one time step, in plain Python, after docs/model.md and the paper.
 
 ``Road.of(simulator)`` takes one road's snapshot; ``road.step(actions, follower_actions)`` advances
 it. Only the enumerations and the state's names come from the package: every formula is written
-again here.
+here a second time.
 """
 
 import itertools
@@ -74,7 +74,7 @@ class Agent:
 
 @dataclass(eq=False)
 class Follower:
-    """What belongs to the external driver behind a live command's changer."""
+    """Record of the external driver behind the changer of a live command."""
 
     car: Car | None = None
     terms: dict = field(default_factory=lambda: dict.fromkeys(FOLLOWER_TERMS, 0.0))
@@ -95,7 +95,7 @@ class Road:
 
     @classmethod
     def of(cls, simulator, env=0):
-        """The snapshot of a simulator's road."""
+        """A snapshot of a simulator's road."""
         state, road = simulator.state, cls(simulator.scenario)
         record = state.roads[env]
         for name in record.dtype.names:
@@ -143,11 +143,11 @@ class Road:
         return road
 
     def step(self, actions, follower_actions):
-        """One time step; for each agent slot its action, and the acceleration of its follower."""
+        """One time step, given by agent slot the actions and the accelerations of the followers."""
         if self.scenario.followers.cooperative.moves_over:
             for car in self.cars:
                 self.move_over(car)
-        # From the front to the rear: the ACC model looks at the leader's new acceleration.
+        # From the front to the rear: the ACC model uses the leader's new acceleration.
         for car in self.cars:
             car.acceleration = self.drive(car, actions, follower_actions)
         for car in self.cars:
@@ -180,15 +180,15 @@ class Road:
         return 0.0
 
     def curve_speed(self, position, lateral, preview, a_lat, b):
-        """The least over places ahead of the speed there, and of braking b down to it."""
+        """The least over places ahead of the speed allowed there, plus braking with b before it."""
         squares = [math.inf]
         for arc in self.scenario.road.arcs:
             length = arc.transition
-            # Where the clothoid ends, the edges of the preview, and where the derivative is 0.
+            # The clothoid's end, both ends of the preview, and the place with derivative 0.
             places = [arc.start + length, position, position + preview]
             places.append(arc.start + math.sqrt(a_lat * length * abs(arc.radius) / (2 * b)))
             for place in places:
-                # What lies beyond the clothoid at the beginning is not sharper than its end.
+                # Beyond its first clothoid the arc is not sharper than at the clothoid's end.
                 is_ahead = max(arc.start, position) <= place < arc.end
                 if is_ahead and (place == position or place <= arc.start + length):
                     bend = shape(arc, place)
@@ -204,12 +204,12 @@ class Road:
         return (allowed - car.speed) / 0.5
 
     def turn_rate(self, car):
-        """Of the road under the car: c s'."""
+        """Turning rate of the road under the car: c s'."""
         c = self.curvature(car.position)
         return c * car.speed * math.cos(car.yaw) / (1.0 - c * car.lateral_position)
 
     def corners(self, car):
-        """Of the rectangle, counter-clockwise."""
+        """Corners of the rectangle, counter-clockwise."""
         half_length, half_width = self.scenario.vehicle.length / 2, self.scenario.vehicle.width / 2
         cos, sin = math.cos(car.yaw), math.sin(car.yaw)
         return [
@@ -230,10 +230,10 @@ class Road:
             self.known_lanes[pose] = range(min(max(low, 0), last), min(max(high, 0), last) + 1)
         return self.known_lanes[pose]
 
-    # Who is where
+    # Neighbors
 
     def is_in(self, car, lane):
-        """By its body, or on the way to it."""
+        """Whether its body is in the lane, or it is bound for it."""
         return lane in self.lanes_of(car) or self.is_bound_for(car, lane)
 
     def ahead(self, car, is_candidate):
@@ -308,7 +308,7 @@ class Road:
             leaders.append(self.ahead(car, lambda other, lane=lane: lane in self.lanes_of(other)))
         wanted = min(self.follow(car, front, profile, **style) for front in leaders)
         wanted = min(wanted, self.seek(car))
-        # Toward its own target lane a driver is what its profile says, hostile or not.
+        # Toward its own target lane a driver uses its profile, also if it is adversarial.
         beyond = [front for front in self.leaders_beyond(car) if front is not None]
         toward = [self.follow(car, front, profile, **plain) for front in beyond]
         if car.agent is not None and car.agent.phase == Phase.ENGAGED and toward:
@@ -327,7 +327,7 @@ class Road:
         return max(wanted, -self.scenario.vehicle.max_braking)
 
     def drive(self, car, actions, follower_actions):
-        """Car following, unless an agent's second action or a follower's action stands."""
+        """Car following, or an agent's second action or a follower's action instead."""
         following, second = self.longitudinal(car), self.scenario.action.longitudinal
         external = self.scenario.followers.external
         wanted = following
@@ -343,7 +343,7 @@ class Road:
         return max(wanted, -self.scenario.vehicle.max_braking)
 
     def within(self, car, wanted, limits):
-        """The bounds of an action; it speeds nobody up beyond the speed limit."""
+        """The action within its bounds; it does not accelerate a car beyond the speed limit."""
         wanted = min(max(wanted, -limits.max_braking), limits.max_acceleration)
         return min(wanted, max(0.0, (limits.max_speed - car.speed) / self.scenario.time_step))
 
@@ -366,7 +366,7 @@ class Road:
         return min(*allowed, self.in_curves(car, rule.max_braking))
 
     def would_follow(self, agent):
-        """Car following of an agent's car as it stands, toward the neighbors of the agent."""
+        """Car following of an agent's car in the present state, behind the agent's neighbors."""
         car, around = agent.car, agent.neighbors
         profile = self.scenario.drivers.profiles[car.profile]
         style = {"v0": car.desired_speed * self.hurry(car), "a_m": profile.max_acceleration}
@@ -383,14 +383,14 @@ class Road:
         return self.no_reversing(car, max(wanted, -self.scenario.vehicle.max_braking))
 
     def no_reversing(self, car, acceleration):
-        """Who would drive backwards after the step stops instead."""
+        """At least the acceleration that stops the car within the step."""
         after = max(0.0, car.speed + acceleration * self.scenario.time_step)
         return (after - car.speed) / self.scenario.time_step
 
     # The gap that a waiting driver seeks
 
     def needed(self, driver, speed, closing, v0):
-        """The gap that the rule asks of a driver behind, inf where no gap would do."""
+        """The gap that the rule requires of a rear driver; inf if no gap is enough."""
         rule, profile = self.scenario.gap, self.scenario.drivers.profiles[driver.profile]
         if rule.rule == "kinematic":
             way = max(0.0, closing) ** 2 / (2.0 * rule.max_braking)
@@ -409,7 +409,7 @@ class Road:
         return max((profile.minimum_gap + dynamic) / math.sqrt(share), rule.minimum_gap)
 
     def window(self, car, pace, front, rear):
-        """Positions at which the rule would accept the car at this pace: lowest, highest."""
+        """Lowest and highest position at which the rule accepts the car at this pace."""
         length, low, high = self.scenario.vehicle.length, -math.inf, math.inf
         if front is not None:
             needed = self.needed(car, pace, pace - front.speed, car.desired_speed)
@@ -434,7 +434,7 @@ class Road:
         return pace, point, min(max(car.position, low + inset), high - inset)
 
     def arrival(self, car, pace, point):
-        """When the car is at the point that moves on at this pace, and as fast; inf if never."""
+        """Time until the car is at the point that moves at this pace, and as fast; inf if never."""
         if point is None:
             return math.inf
         profile = self.scenario.drivers.profiles[car.profile]
@@ -450,7 +450,7 @@ class Road:
         return time if gap >= profile.minimum_gap + profile.time_headway * pace else math.inf
 
     def seek(self, car):
-        """What a waiting driver does for the best of three gaps; inf where none can be had."""
+        """Acceleration of a waiting driver toward the best of three gaps; inf without one."""
         if car.agent is None or car.agent.phase != Phase.WAITING:
             return math.inf
         reach, target = self.scenario.observation.sensor_range, car.agent.target
@@ -481,7 +481,7 @@ class Road:
         return wanted
 
     def hold(self, car):
-        """The mildest braking of a changer for its target lane's leader, until it is there."""
+        """Lower bound of a changer's acceleration toward its target leader, until it is there."""
         target = car.agent.target
         if car.agent.phase != Phase.ENGAGED or target in self.lanes_of(car):
             return -math.inf
@@ -493,13 +493,13 @@ class Road:
         return self.track(car, pace, aim)
 
     def track(self, car, pace, aim):
-        """Toward an aim that moves on at this pace: 1 s for the speed, 5 s for the way."""
+        """Toward an aim that moves at this pace: 1 s for the speed, 5 s for the distance."""
         wanted = max(pace + (aim - car.position) / 5.0, pace / 2.0)
         gentle = self.scenario.drivers.profiles[car.profile].comfortable_braking
         return max(wanted - car.speed, -gentle)
 
     def hurry(self, car):
-        """What the desired speed is multiplied by, for the sake of a gap."""
+        """Factor of the desired speed because of a gap."""
         factor = self.scenario.gap.speed_factor
         if car.agent is None:
             return 1.0
@@ -510,7 +510,7 @@ class Road:
         return 1.0
 
     def leaders_beyond(self, car):
-        """Ahead of a car on its way, in or bound for its target lane; None among them."""
+        """The leaders in a changing car's target lane, and bound for it; None is in the list."""
         if car.agent is None and not car.moving_over:
             return [None]
         target = car.lane if car.agent is None else car.agent.target
@@ -520,7 +520,7 @@ class Road:
 
     @staticmethod
     def is_bound_for(car, lane):
-        """Engaged toward the lane, or moving over to it."""
+        """Whether it is engaged toward the lane, or moving over to it."""
         if car.agent is None:
             return bool(car.moving_over) and car.lane == lane
         return car.agent.phase == Phase.ENGAGED and car.agent.target == lane
@@ -570,14 +570,14 @@ class Road:
         return self.is_gap_safe(car, ahead, braking) and self.is_gap_safe(behind, car, braking)
 
     def has_settled(self, car):
-        """In the lane that it keeps, by the completion criterion."""
+        """Whether it is inside the lane that it keeps, and the completion criterion holds."""
         is_inside = list(self.lanes_of(car)) == [car.lane]
         return is_inside and self.is_at(car, self.centre(car.lane) - car.lateral_position)
 
     # Motion
 
     def move(self, car, actions):
-        """Steer, then semi-implicit Euler; the road's turning is that before the step."""
+        """Steer, then semi-implicit Euler; the road's turning is from before the step."""
         scenario, turn_rate = self.scenario, self.turn_rate(car)
         if car.agent is not None and car.agent.is_steering:
             bound = scenario.action.max_yaw_acceleration
@@ -595,7 +595,7 @@ class Road:
         car.speed = max(0.0, car.speed + car.acceleration * step)
         fastest = car.speed / scenario.vehicle.min_turning_radius
         car.yaw_rate = min(max(car.yaw_rate + car.yaw_acceleration * step, -fastest), fastest)
-        # What was applied, whatever was asked for.
+        # The applied values, which differ from the wanted ones at a bound.
         car.acceleration = (car.speed - before[0]) / step
         car.yaw_acceleration = (car.yaw_rate - before[1]) / step
         car.yaw += (car.yaw_rate - turn_rate) * step
@@ -610,7 +610,7 @@ class Road:
         car.is_past_end = car.position >= scenario.road.length
 
     def collide(self):
-        """Every pair of rectangles that overlap, the front one first along the road."""
+        """Record every pair of overlapping rectangles, ordered by the front one, from the front."""
         length = self.scenario.vehicle.length
         reach = math.hypot(length, self.scenario.vehicle.width)
         for rank, front in enumerate(self.cars):
@@ -641,7 +641,7 @@ class Road:
 
     @property
     def is_late(self):
-        """The episode is over, or its horizon is reached: nobody is live, nobody is commanded."""
+        """Whether the episode is over or the horizon reached: no live agents, no new commands."""
         steps = round((self.scenario.horizon or math.inf) / self.scenario.time_step, 0)
         return self.counts["step"] == steps or bool(self.counts["is_done"])
 
@@ -678,7 +678,7 @@ class Road:
         return Outcome.UNFINISHED
 
     def judge(self, agent):
-        """Eq. 10, Eq. 11, Eq. 12 and the failure penalty; the end of the command."""
+        """The reward, with Eq. 10, Eq. 11 and Eq. 12, and the outcome."""
         weights, car, outcome = self.scenario.reward, agent.car, self.outcome(agent)
         has_failed = outcome in (Outcome.COLLISION, Outcome.OFF_ROAD)
         agent.terms = dict.fromkeys(("yaw_acceleration", "yaw_rate", "deviation"), 0.0)
@@ -719,12 +719,12 @@ class Road:
             self.counts["num_left"] += not car.is_hit and (car.is_off_road or car.is_past_end)
         gone = [c for c in self.cars if c.is_hit or c.is_off_road or c.is_past_end]
         self.cars = [c for c in self.cars if c not in gone]
-        # Their slots stay readable, and so taken, until the next step.
+        # Their slots can be read until the next step, so they are not free before.
         self.removed = {car.slot for car in gone}
         self.counts["num_removed"] = len(gone)
 
     def depart(self):
-        """One vehicle a lane at most, where its driver has the gap that he desires."""
+        """At most one vehicle per lane, if the gap is at least its driver's desired gap."""
         scenario = self.scenario
         now = self.counts["step"] * scenario.time_step
         for lane, (due, speed, name) in enumerate(self.departures):
@@ -786,7 +786,7 @@ class Road:
             counts["num_live"] += 1
 
     def is_gap_safe(self, rear, front, braking):
-        """The scenario's rule; no vehicle is safe."""
+        """The scenario's gap rule; a missing vehicle is safe."""
         if rear is None or front is None:
             return True
         rule, gap = self.scenario.gap, self.gap(rear, front)
@@ -810,9 +810,9 @@ class Road:
         )
 
     def renew(self):
-        """The phases from the front of the road on; then what all see and whose follower is whose.
+        """Phases from the front of the road to its rear; then observations, then followers.
 
-        Nothing that is seen or paired depends on who stands in which slot.
+        The slots of the agents have no influence.
         """
         live = [car.agent for car in self.cars if car.agent is not None]
         for agent in live:
@@ -837,7 +837,7 @@ class Road:
             agent.phase = Phase.WAITING
 
     def pair(self):
-        """Pay who was paired in this step; then who is behind whom, and what he sees."""
+        """Rewards of the drivers paired in this step; then new pairs and observations."""
         before, self.followers = self.followers, {}
         for slot, agent in self.agents.items():
             follower = self.followers[slot] = before.get(slot, Follower())
@@ -867,14 +867,14 @@ class Road:
         follower.episode_reward += follower.reward
 
     def seen_behind(self, agent, driver):
-        """What the target lane's follower of a changer sees, column by column."""
+        """Observation of a changer's target follower, column by column."""
         changer, leader = agent.car, agent.neighbors["target_leader"]
         reach, phase = self.scenario.observation.sensor_range, agent.phase
         gap, relative_speed, deviation = reach, 0.0, self.deviation(agent)
         if leader is not None:
             gap, relative_speed = self.gap(driver, leader), leader.speed - driver.speed
         if agent.outcome != Outcome.UNFINISHED:
-            # The command is over: what is left is the way to the target lane.
+            # The command is over: the deviation is from the target lane.
             phase = Phase.ABSENT
             deviation = agent.direction * (self.centre(agent.target) - changer.lateral_position)
         return [
@@ -896,7 +896,7 @@ class Road:
             agent.neighbors[f"{prefix}follower"] = self.behind(agent.car, is_there)
 
     def look(self, agent):
-        """The neighbors, and every feature by name."""
+        """Find the neighbors, and set every feature by name."""
         self.find_neighbors(agent)
         car, sign = agent.car, agent.direction
         seen = agent.observation
@@ -932,14 +932,14 @@ class Road:
 
 
 def shape(arc, position):
-    """An arc's curvature over that between its clothoids, 0 to 1."""
+    """An arc's curvature divided by its largest one, from 0 up to 1."""
     if arc.transition == 0.0:
         return 1.0
     return min(1.0, (position - arc.start) / arc.transition, (arc.end - position) / arc.transition)
 
 
 def fastest(way, speed, limit, top):
-    """Least time over a way to a stop, |acceleration| <= limit and the speed toward it <= top."""
+    """Least time to cover a distance and stop; |acceleration| <= limit, speed toward it <= top."""
     stop = speed * abs(speed) / (2.0 * limit)
     sign = 1.0 if way >= stop else -1.0
     way, speed = sign * way, sign * speed

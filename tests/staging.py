@@ -1,4 +1,4 @@
-"""Traffic set up by hand, and a plain steering policy, for tests."""
+"""Traffic that tests place by hand, and a simple steering policy."""
 
 import math
 
@@ -13,9 +13,9 @@ from marl_lanes.traffic.simulator import Simulator
 
 
 def damped_actions(simulator, noise=0.0, generator=None):
-    """(E, A, D) actions that complete the changes, crudely and, if asked, noisily.
+    """(E, A, D) actions that complete the changes, roughly; with noise if there is a generator.
 
-    A second action is what car following wanted in the step before or, if asked, anything.
+    The second action is the last step's car following, or with a generator a random one.
     """
     actions = np.zeros((*simulator.agents.shape, simulator.num_actions))
     if simulator.num_actions == 2:
@@ -36,10 +36,17 @@ def damped_actions(simulator, noise=0.0, generator=None):
     return actions
 
 
-def stage(simulator, *cars, env=0):
-    """Clear a road of its traffic and set these cars, each a dict of fields, into slots 0, 1, ...
+def rows_of(table):
+    """The rows of a table as dictionaries of plain values, which are quick to read and compare."""
+    names = table.dtype.names
+    columns = [table[name].tolist() for name in names]
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
-    Nobody departs any more. A car stands straight in the centre of its lane unless it says more.
+
+def stage(simulator, *cars, env=0):
+    """Empty a road and place these cars, each a dict of fields, in slots 0, 1, ...
+
+    There are no more departures. By default a car is in the centre of its lane with yaw 0.
     """
     vehicles, state = simulator.vehicles[env], simulator.state
     vehicles["id"] = vehicles["agent"] = vehicles["changer"] = -1
@@ -71,7 +78,7 @@ def stage(simulator, *cars, env=0):
 
 
 def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
-    """Give the car in a slot a command; the agent's slot."""
+    """Give a command to the car in a slot; returns the agent's slot."""
     slot = int(simulator.agents[env]["vehicle"].tolist().index(-1))
     row, road = simulator.agents[env, slot], simulator.roads[env : env + 1]
     lane = int(simulator.vehicles[env, vehicle]["lane"])
@@ -87,13 +94,13 @@ def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
 
 
 def one_arc(radius, **overrides):
-    """A simulator of a road that is an arc for 900 m."""
+    """A simulator of a road that is one arc of 900 m."""
     arcs = [{"start": 0.0, "end": 900.0, "radius": radius, "transition": 0.0}]
     return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides})
 
 
 def place(simulator, **values):
-    """The first vehicle of a simulator, at rest in lane 0's centre but for ``values``."""
+    """A simulator's first vehicle, set to the centre of lane 0 at 20 m/s, except ``values``."""
     car = simulator.vehicles[0, 0]
     for name in ("position", "acceleration", "yaw", "yaw_rate", "yaw_acceleration", "lane"):
         car[name] = 0

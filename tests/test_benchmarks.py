@@ -5,9 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 
+@pytest.mark.training
 def test_a_policy_step_and_the_split_of_a_training(tmp_path):
     file = tmp_path / "figures.json"
     program = [sys.executable, str(BENCHMARKS / "policy_step.py")]

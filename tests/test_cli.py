@@ -38,6 +38,7 @@ def test_a_printed_scenario_is_the_scenario(capsys, tmp_path, name):
     assert capsys.readouterr().out == text
 
 
+@pytest.mark.slow
 def test_an_evaluation_is_printed_and_written(capsys, tmp_path):
     file = tmp_path / "deep" / "result.json"
     assert main([*EVALUATE, "--seed", "5", "--scenario", "touch", "--json", str(file)]) == 0
@@ -55,6 +56,7 @@ def test_an_evaluation_is_printed_and_written(capsys, tmp_path):
     assert [path.name for path in file.parent.iterdir()] == ["result.json"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["lane-keeping", "random"])
 def test_policies_without_learning(capsys, policy):
     arguments = ["evaluate", "--policy", policy, "--maneuvers", "2"]
@@ -67,6 +69,7 @@ def test_policies_without_learning(capsys, policy):
     assert float(rate) == 0.0 or policy == "random"
 
 
+@pytest.mark.slow
 def test_a_checkpoint_is_evaluated(capsys, tmp_path):
     """The damped prior from a file: the same numbers as by its name."""
     torch.manual_seed(0)
@@ -180,6 +183,7 @@ def files(folder):
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_a_crossplay_is_printed_written_and_drawn(capsys, folder):
     before = files(folder)
     rude = "learned:runs/rude/checkpoints/final.pt"
@@ -219,6 +223,7 @@ def test_a_pair_is_what_evaluate_prints(capsys, folder):
         assert found["value"] == one[key], key
 
 
+@pytest.mark.slow
 def test_a_changer_may_bring_its_scenario(capsys, folder):
     entries = ["weak.pt@weak.yaml", "b.pt", "b.pt@paper"]
     followers = ["--followers", "neutral", "--scenario", "quick.yaml", "--json", "table.json"]
@@ -274,6 +279,7 @@ def test_a_module_of_ones_own_registers_followers(capsys, folder):
     assert braking[1] != braking[0]
 
 
+@pytest.mark.slow
 def test_the_gap_under_every_follower_is_printed_written_and_drawn(capsys, folder):
     before = files(folder)
     outputs = ["--json", "gaps.json", "--figure", "gaps.png", "--scenario", "quick.yaml"]

@@ -1,5 +1,6 @@
 """The documentation compared with the code: links, examples, and all required names."""
 
+import ast
 import dataclasses
 import re
 import subprocess
@@ -93,6 +94,7 @@ def test_the_pages_are_found_and_linked_from_their_index():
     assert {page.name for page in DOCS.glob("*.md")} - {"README.md"} <= linked
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", with_blocks(), ids=lambda page: page.name)
 def test_every_example_runs(page, tmp_path):
     """The page's blocks in order, each with its own names, in one process in an empty folder."""
@@ -131,6 +133,22 @@ def test_every_metric_is_documented():
     measured = set(summarise([lane_change()]))
     assert len(measured) > 25
     assert documented == measured
+
+
+def test_every_module_has_its_sentence():
+    page = text_of(DOCS / "architecture.md").partition("## Modules")[2].partition("\n## ")[0]
+    told = {}
+    for section in page.split("### `")[1:]:
+        folder, _, rest = section.partition("/`\n\n")
+        told[f"{folder}/__init__.py"] = rest.partition("\n")[0]
+        rows = re.findall(r"^\| `([^`]+)` \| (.*) \|$", rest, re.MULTILINE)
+        told |= {f"{folder}/{name}": sentence for name, sentence in rows}
+    wanted = {}
+    for path in (ROOT / "marl_lanes").rglob("*.py"):
+        docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+        sentence = str(docstring).partition("\n\n")[0].replace("\n", " ")
+        wanted[path.relative_to(ROOT).as_posix()] = sentence
+    assert told == wanted
 
 
 def lane_change():

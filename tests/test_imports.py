@@ -43,6 +43,7 @@ def test_the_simulator_is_numpy_and_numba(name):
     assert loaded(f"from marl_lanes import {name}") == ["numba"]
 
 
+@pytest.mark.slow
 def test_naf_needs_no_traffic():
     names = "NAFLoss, NAFNetwork"
     assert loaded(f"from marl_lanes import {names}") == ["tensordict", "torch", "torchrl"]

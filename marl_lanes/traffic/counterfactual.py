@@ -1,4 +1,4 @@
-"""What a lane changer and the driver behind it would do if the change did not take place."""
+"""Accelerations of a lane changer and of its follower if there were no lane change."""
 
 from collections.abc import Callable
 from functools import cache
@@ -22,14 +22,14 @@ def accelerations_without_change(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Plain car following in the present state, as if no agent changed lanes.
 
-    The changer follows the nearest body ahead in its origin lane alone. The driver behind it in
-    the target lane follows the nearest body ahead in the lanes of its own body, the changer left
-    out, by the parameters of its profile whatever its disposition. Both slow down for curves, and
-    neither brakes harder than ``vehicle.max_braking``.
+    The changer follows only the nearest body ahead in its origin lane. Its follower in the target
+    lane follows the nearest body ahead in the lanes of its own body, without the changer, with the
+    parameters of its profile for every disposition. Both slow down for curves, and brake at most
+    with ``vehicle.max_braking``.
 
     Returns:
-        Of the changer and of the follower, each (E, A) float64 [m/s^2]; nan where the agent does
-        not steer, and where nobody is behind it.
+        Accelerations of the changers and of their followers, each (E, A) float64 [m/s^2]; nan if
+        the agent does not steer, the second also if there is no follower.
     """
     changers = np.full(state.agents.shape, np.nan)
     followers = np.full(state.agents.shape, np.nan)
@@ -41,7 +41,7 @@ def accelerations_without_change(
 
 @cache
 def _kernel() -> Callable[..., None]:
-    """``_imagine`` for the types that it is always called with."""
+    """``_imagine``, compiled for the types of all its calls."""
     roads, order = np.empty(1, structure(ROAD)), np.empty((1, 1), np.uint32)
     vehicles, agents = (np.empty((1, 1), kind) for kind in (structure(VEHICLE), CHANGER.dtype))
     profiles, arcs, constants = (
@@ -54,7 +54,7 @@ def _kernel() -> Callable[..., None]:
 
 @internal
 def _body_ahead(slot: int, lane: int, absent: int, order: Any, count: int, vehicles: Any) -> int:
-    """Slot of the nearest body ahead of ``slot`` in the lane, ``absent`` left out, or NONE."""
+    """Slot of the nearest body ahead of ``slot`` in the lane, without ``absent``; or NONE."""
     nearest = NONE
     for rank in range(count):
         other = int(order[rank])

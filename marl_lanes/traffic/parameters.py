@@ -47,15 +47,15 @@ CONSTANTS: Table = (
     ("command_high", "f8", "m", "command position"),
     ("command_probability", "f8", "1", ""),
     ("command_lanes", "i8", "1", "bit l set where vehicles of lane l are commanded"),
-    ("num_agents", "i8", "1", "commands an episode, 0 for no end"),
-    ("horizon_steps", "i8", "step", "0 for no end"),
+    ("num_agents", "i8", "1", "commands per episode, 0 for no limit"),
+    ("horizon_steps", "i8", "step", "0 for no horizon"),
     ("is_gap_kinematic", "i8", "1", "1 for rule kinematic, 0 for car_following"),
     ("gap_safe_braking", "f8", "m/s^2", "b_safe of rule car_following"),
-    ("gap_braking_margin", "f8", "m/s^2", "by which an accepted gap does better than b_safe"),
-    ("gap_speed_factor", "f8", "1", "top speed for a gap over the desired speed"),
-    ("gap_minimum", "f8", "m", "d_min of the gap selector"),
-    ("gap_time", "f8", "s", "tau of the gap selector"),
-    ("gap_max_braking", "f8", "m/s^2", "b_max of the gap selector"),
+    ("gap_braking_margin", "f8", "m/s^2", "subtracted from b_safe to accept a gap"),
+    ("gap_speed_factor", "f8", "1", "top speed for a gap divided by the desired speed"),
+    ("gap_minimum", "f8", "m", "d_min of the gap rule"),
+    ("gap_time", "f8", "s", "tau of rule kinematic"),
+    ("gap_max_braking", "f8", "m/s^2", "b_max of rule kinematic"),
     ("cooperative_time_headway", "f8", "s", ""),
     ("cooperative_max_braking", "f8", "m/s^2", ""),
     ("is_moving_over_allowed", "i8", "1", "whether cooperative followers move over"),
@@ -66,9 +66,9 @@ CONSTANTS: Table = (
     ("external_max_braking", "f8", "m/s^2", "bound of an external driver's action"),
     ("external_max_speed", "f8", "m/s", ""),
     ("is_external_guarded", "i8", "1", ""),
-    ("num_external", "i8", "1", "dispositions of the mix that are driven from outside"),
-    ("follower_weights", _kind(FOLLOWER), "", "of the terms of its reward"),
-    ("follower_hard_braking", "f8", "m/s^2", "beyond which its braking is charged"),
+    ("num_external", "i8", "1", "external dispositions of the mix"),
+    ("follower_weights", _kind(FOLLOWER), "", "of the terms of a follower's reward"),
+    ("follower_hard_braking", "f8", "m/s^2", "only harder braking costs reward"),
     ("completion_max_deviation", "f8", "m", ""),
     ("completion_max_lateral_speed", "f8", "m/s", "inf for no bound"),
     ("completion_max_yaw_rate", "f8", "rad/s", "inf for no bound"),
@@ -78,12 +78,12 @@ CONSTANTS: Table = (
     ("longitudinal_max_braking", "f8", "m/s^2", "bound of the second action"),
     ("longitudinal_max_speed", "f8", "m/s", ""),
     ("sensor_range", "f8", "m", ""),
-    ("changer_weights", _kind(CHANGER), "", "of the terms of its reward"),
+    ("changer_weights", _kind(CHANGER), "", "of the terms of a changer's reward"),
     ("average_deviation", "f8", "m", "Eq. 12"),
 )
 
 PROFILE: Table = (
-    ("share", "f8", "1", "cumulative share in the mix, last 1"),
+    ("share", "f8", "1", "cumulative share in the mix, the last is 1"),
     ("minimum_gap", "f8", "m", "s0"),
     ("time_headway", "f8", "s", "T"),
     ("max_acceleration", "f8", "m/s^2", "a_m"),
@@ -111,13 +111,13 @@ class Parameters:
     profiles: Records
     """(P,) PROFILE."""
     dispositions: NDArray[np.float64]
-    """(3 + n,) cumulative shares by Disposition and the n external ones, last 1."""
+    """(3 + n,) cumulative shares of the scripted and the n external dispositions, the last is 1."""
     arcs: Records
     """(K,) ARC, ascending."""
     features: NDArray[np.int32]
     """(F,) codes of the features that a changer sees."""
     follower_features: NDArray[np.int32]
-    """(G,) codes of those that a follower sees."""
+    """(G,) codes of the features that a follower sees."""
 
     @property
     def arrays(self) -> tuple[NDArray[np.generic], ...]:

@@ -1,6 +1,6 @@
-"""What the agents of a batch are told after a step, read out of their tables in one pass each.
+"""Masks, outcomes and rewards of a batch after a step, read from each table in one pass.
 
-The records are longer than a cache line: one column costs as much to read as all of them.
+A record is longer than a cache line, so reading one column takes as long as reading all.
 """
 
 from collections.abc import Callable
@@ -19,11 +19,11 @@ from marl_lanes.traffic.roles.follower import FOLLOWER
 _UNFINISHED = int(Outcome.UNFINISHED)
 
 Columns = dict[str, NDArray[Any]]
-"""New arrays, which are the caller's, by their key in TorchRL."""
+"""New arrays, owned by the caller, by their keys in TorchRL."""
 
 
 class Masks(NamedTuple):
-    """Which slots of the changers are in which state, (E, A) bool each."""
+    """The state of the changers' slots, (E, A) bool each."""
 
     live: NDArray[np.bool_]
     """The command is unfinished."""
@@ -38,8 +38,8 @@ def read_masks(agents: Records, *, has_longitudinal: bool) -> Masks:
 
     Args:
         agents: (E, A) AGENT.
-        has_longitudinal: whether the action has a second dimension, with which a waiting changer
-            acts, too.
+        has_longitudinal: whether the action has a second dimension; then a waiting changer acts,
+            too.
     """
     masks = Masks(*(np.empty(agents.shape, np.bool_) for _ in Masks._fields))
     _masks_kernel()(agents, has_longitudinal, *masks)
@@ -47,7 +47,7 @@ def read_masks(agents: Records, *, has_longitudinal: bool) -> Masks:
 
 
 def read_changers(agents: Records, *, has_longitudinal: bool) -> Columns:
-    """What the changers are told.
+    """Masks, outcomes, rewards and ends of the changers.
 
     Args:
         agents: (E, A) AGENT.
@@ -72,12 +72,12 @@ def read_changers(agents: Records, *, has_longitudinal: bool) -> Columns:
 
 
 def read_followers(agents: Records, followers: Records, *, policy: int) -> Columns:
-    """What the learned followers are told; their ends are those of their changers.
+    """Masks, rewards and ends of the learned followers, which end with their changers.
 
     Args:
         agents: (E, A) AGENT.
         followers: (E, A) FOLLOWER.
-        policy: the value of ``policy`` of those that a learner drives.
+        policy: ``policy`` of the followers that a learner drives.
 
     Returns:
         As ``read_changers``, without ``steering``, ``aborting`` and ``outcome``.
@@ -107,7 +107,7 @@ _FLAG, _OUTCOME = np.empty((1, 1), np.bool_), np.empty((1, 1), np.int64)
 
 @cache
 def _masks_kernel() -> Callable[..., None]:
-    """Each kernel for the types that it is always called with."""
+    """The kernel, compiled for the types of all its calls; so are the next two."""
     return entry_point(_read_masks, (np.empty((1, 1), CHANGER.dtype), False, *[_FLAG] * 3))
 
 
@@ -140,7 +140,7 @@ def _read_masks(agents: Any, has_longitudinal: bool, live: Any, steering: Any, a
 
 @internal
 def _read_end(agent: Any, done: Any, terminated: Any, truncated: Any) -> None:
-    """Pulses in the step that ends a command, each (1,)."""
+    """Set the ends, each (1,); they are true only in the step that ends the command."""
     has_ended = agent.outcome != _UNFINISHED
     is_truncated = _truncates(agent.outcome)
     done[0] = has_ended

@@ -1,4 +1,4 @@
-"""Roads that advance together: owns the arrays, validates what comes in, shares out the threads."""
+"""Roads that advance together: owns the arrays, checks the inputs, divides roads among threads."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -22,20 +22,20 @@ from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.step import RESET, SKIP, STEP, run
 
 _ROADS_PER_THREAD = 1024
-"""Below this many roads waking a second thread costs about what it saves."""
+"""With fewer roads for each thread, another thread costs about as much time as it saves."""
 
 # numpy compares with plain integers several times faster than with members of an enumeration.
 _UNFINISHED = int(Outcome.UNFINISHED)
 
 _NO_LEARNER = -2
-"""Neither the place of a disposition nor that of none."""
+"""A value that ``policy`` of FOLLOWER never has: it is -1 or more."""
 
 
 class Simulator:
     """E independent roads of one scenario.
 
-    The same seed and actions give the same bytes, whatever ``num_threads`` is, and road e of a
-    batch is the road that a simulator of more or fewer roads has at index e.
+    The same seed and actions give the same bytes with any ``num_threads``. Road e of a batch is the
+    same as road e of a simulator with more or fewer roads.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
@@ -45,13 +45,14 @@ class Simulator:
             number of processors.
         overrides: scenario fields to replace, as in ``load_scenario``.
         learned_followers: ``step`` takes the actions of the followers whose disposition is
-            ``learned``; where the mix has none, all are.
-        follower_policies: policies by their name in ``followers.mix``, before registered ones.
-        first_road: index of the first road among the seed's: two simulators of 4 roads, the second
-            from road 4 on, are one of 8.
+            ``learned``; if the mix has none, all followers are learned.
+        follower_policies: policies by their name in ``followers.mix``; they have priority over
+            registered ones.
+        first_road: index of the first road for the random numbers: two simulators of 4 roads, with
+            ``first_road`` 0 and 4, have the roads of one simulator of 8.
 
     Raises:
-        ScenarioError: the scenario cannot be, or a follower of its mix has no policy.
+        ScenarioError: the scenario is invalid, or a follower of its mix has no policy.
         ValueError: another argument is out of range.
     """
 
@@ -102,7 +103,7 @@ class Simulator:
         self.actions = np.zeros((num_envs, self.num_slots, self.num_actions))
         """(E, A, D) of the last step, as given."""
         self.follower_actions = np.zeros((num_envs, self.num_slots, 1))
-        """(E, A, 1) of the last step, those of policies included."""
+        """(E, A, 1) of the last step, with those of policies."""
         self._every_road = np.ones(num_envs, np.bool_)
         self._arguments = self._gather_arguments()
         self._kernel: Callable[..., None] | None = None
@@ -114,7 +115,7 @@ class Simulator:
         self.seed(seed)
 
     def seed(self, seed: int) -> None:
-        """Start the random numbers again; a road's stream is its index. Resets nothing."""
+        """Restart the random numbers; a road's stream is its index. Does not reset the roads."""
         if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**64:
             raise ValueError(f"seed = {seed!r}: must be a whole number, 0 to 2^64 - 1")
         self.state.roads["random_key"] = seed
@@ -130,7 +131,7 @@ class Simulator:
         chosen = self._every_road if mask is None else np.ascontiguousarray(mask, np.bool_)
         if chosen.shape != (self.num_envs,):
             raise ValueError(f"mask: shape {chosen.shape}, must be ({self.num_envs},)")
-        # Nothing of the last episode stays, so that equal seeds give equal bytes.
+        # Nothing of the last episode remains, so equal seeds give equal bytes.
         state = self.state
         for array in (state.vehicles, state.agents, state.followers, state.collisions):
             array[chosen] = np.zeros((), array.dtype)
@@ -143,36 +144,36 @@ class Simulator:
         """Advance every road by one time step.
 
         Args:
-            actions: (E, A, D) yaw accelerations in the maneuver frame [rad/s^2] and, where D is 2,
-                longitudinal accelerations [m/s^2], clipped to the scenario's bounds; what agents
-                are given that do not act is not used. None: zeros.
+            actions: (E, A, D) yaw accelerations in the maneuver frame [rad/s^2] and, if D is 2,
+                longitudinal accelerations [m/s^2], clipped to the scenario's bounds. The actions of
+                agents that do not act have no effect. None: zeros.
             follower_actions: (E, A, 1) longitudinal accelerations [m/s^2] of the learned followers,
                 clipped to the scenario's bounds, used where ``is_follower_acting``. None: zeros.
 
         Raises:
-            ValueError: wrong shape, or an action that counts and is not finite.
-            FollowerError: a follower's policy returned what no vehicle can do.
+            ValueError: wrong shape, or the action of an acting agent is not finite.
+            FollowerError: a follower's policy returned invalid accelerations.
         """
         self._take("actions", actions, self.actions)
         self._take("follower_actions", follower_actions, self.follower_actions)
         self.advance()
 
     def advance(self) -> None:
-        """``step`` with what stands in ``actions`` and ``follower_actions``, which must be finite.
+        """``step`` with the contents of ``actions`` and ``follower_actions``, which must be finite.
 
-        For who writes there and has checked it.
+        For callers that write to these arrays and check the values themselves.
 
         Raises:
-            FollowerError: a follower's policy returned what no vehicle can do.
+            FollowerError: a follower's policy returned invalid accelerations.
         """
         self._ask_policies()
         self._run(STEP, self._every_road)
 
     def advance_until_live(self) -> None:
-        """Advance each road on which no agent is live until one is, or its episode is over.
+        """Advance each road without a live agent until it has one, or its episode is over.
 
         Raises:
-            ValueError: neither would ever come.
+            ValueError: in this scenario neither can happen.
         """
         scenario = self.scenario
         if scenario.command.probability == 0.0 and scenario.horizon is None:
@@ -184,16 +185,16 @@ class Simulator:
 
     @property
     def bytes_per_environment(self) -> float:
-        """Memory of one road: its part of the state and of the actions."""
+        """Memory of one road [bytes]: its part of the state and of the actions."""
         arrays = [*self.state.arrays, self.actions, self.follower_actions]
         return sum(array.nbytes for array in arrays) / self.num_envs
 
     def snapshot(self) -> bytes:
-        """Every byte of the roads, to go on from later with ``restore``."""
+        """Every byte of the roads; ``restore`` continues from it."""
         return self.state.tobytes()
 
     def restore(self, snapshot: bytes) -> None:
-        """Go on from a snapshot of a simulator of the same scenario and number of roads.
+        """Continue from a snapshot of a simulator with the same scenario and number of roads.
 
         Raises:
             ValueError: the snapshot has another size; nothing is changed.
@@ -229,7 +230,7 @@ class Simulator:
 
     @property
     def is_acting(self) -> NDArray[np.bool_]:
-        """(E, A): slots whose action has an effect: steering, or live where D is 2."""
+        """(E, A): slots whose action has an effect: steering, or live if D is 2."""
         return self.masks.acting
 
     @property
@@ -244,7 +245,7 @@ class Simulator:
 
     @property
     def vehicles(self) -> Records:
-        """(E, V) the table VEHICLE; where ``id`` is -1 the slot is empty."""
+        """(E, V) the table VEHICLE; a slot with ``id`` -1 is empty."""
         return self.state.vehicles
 
     @property
@@ -258,7 +259,7 @@ class Simulator:
         return self.state.roads
 
     def _take(self, name: str, given: ArrayLike | None, kept: NDArray[np.float64]) -> None:
-        """Copy actions; what is not finite is refused where it counts, and else 0."""
+        """Copy actions. A value that is not finite becomes 0, or an error if its agent acts."""
         if given is None:
             kept.fill(0.0)
             return
@@ -312,7 +313,7 @@ class Simulator:
             future.result()
 
     def __getstate__(self) -> dict[str, Any]:
-        # A pool belongs to its process; the arguments must be the arrays of the copied state.
+        # A thread pool cannot be copied; the arguments must be the arrays of the copied state.
         return {**self.__dict__, "_pool": None, "_kernel": None, "_arguments": ()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

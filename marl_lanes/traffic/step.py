@@ -1,7 +1,7 @@
-"""The one kernel that advances roads by one time step, and their masked reset.
+"""The one kernel of a time step, which also resets masked roads.
 
-Every array argument is one road's row of the state, or a parameter of the scenario; the entry point
-``run`` takes the whole arrays and a range of roads, so that threads can share a batch.
+Every array argument is one road's row of the state, or a parameter of the scenario. Only the entry
+point ``run`` takes whole arrays and a range of roads, so that threads can share a batch.
 """
 
 from typing import Any
@@ -55,7 +55,7 @@ _HORIZON = int(Outcome.HORIZON)
 def move(
     road: Any, vehicles: Any, order: Any, agents: Any, actions: Any, arcs: Any, constants: Any
 ) -> tuple[bool, bool]:
-    """Steer and integrate every vehicle, keep the order, mark those that leave the road.
+    """Steer and move every vehicle, update the order, mark the vehicles that leave the road.
 
     Returns:
         Whether a vehicle leaves, and whether one has reached its command position.
@@ -86,7 +86,7 @@ def move(
 
 @internal
 def judge(scene: Any, observations: Any, features: Any) -> None:
-    """Reward every agent for the step, and end those whose command is over."""
+    """Set the reward of every live agent for the step, and end the commands that are over."""
     road, vehicles, order, agents = scene.road, scene.vehicles, scene.order, scene.agents
     arcs, constants = scene.arcs, scene.constants
     has_ended = False
@@ -113,16 +113,17 @@ def judge(scene: Any, observations: Any, features: Any) -> None:
         agent.outcome = outcome
         has_ended = True
     if has_ended:
-        # None of them before the last has been seen: who is engaged counts as in its target lane.
+        # After all observations: until it ends, an engaged agent counts as in its target lane.
         end_commands(road, vehicles, agents)
 
 
 @internal
 def renew(scene: Any, observations: Any, features: Any) -> None:
-    """Neighbors, phase and observation of every live agent; who is the follower of whom.
+    """Update neighbors, phase and observation of every live agent, and its follower.
 
-    Phases change from the front of the road to its rear, so that a gap accepted by one is taken for
-    the next. The rest comes from the state after all of them: no agent slot counts before another.
+    Phases change from the front of the road to its rear, so a gap that one agent accepts is taken
+    for the next. The rest uses the state after all changes, so the order of the agent slots has no
+    influence.
     """
     road, vehicles, order, agents = scene.road, scene.vehicles, scene.order, scene.agents
     has_changed = False
@@ -160,7 +161,7 @@ def renew(scene: Any, observations: Any, features: Any) -> None:
 
 @internal
 def end_episode(road: Any, agents: Any, constants: Any) -> None:
-    """Note the end of the episode: all commands finished, or the horizon cut it."""
+    """Record the end of the episode: all commands have ended, or the horizon is reached."""
     is_last_over = road.num_commands == constants.num_agents > 0 and road.num_live == 0
     if road.step == constants.horizon_steps > 0:
         has_cut = not is_last_over
@@ -221,23 +222,23 @@ def run(
     features: Any,
     follower_features: Any,
 ) -> None:
-    """Advance the masked roads among ``start`` to ``stop``; the others keep every byte.
+    """Advance the masked roads from ``start`` to ``stop``; the others keep every byte.
 
     A time step: move over, drive, move, judge, remove, depart, command, renew, pair. It is one
-    function, with one entry point, because the compiler optimises all that a function calls anew at
-    each level.
+    function with one entry point, because the compiler optimises all called functions again at each
+    level of calls.
 
     Args:
         start: first road.
         stop: the road after the last.
-        mode: STEP one time step; SKIP until an agent is live or the episode is over; RESET to an
-            empty road and through its warm-up.
+        mode: STEP for one time step; SKIP until an agent is live or the episode is over; RESET for
+            an empty road and its warm-up.
         mask: (E,) bool.
-        actions: (E, A, D) float64, yaw acceleration in the maneuver frame [rad/s^2] and, where
-            the scenario has it, longitudinal acceleration [m/s^2].
+        actions: (E, A, D) float64, yaw acceleration in the maneuver frame [rad/s^2] and, if the
+            scenario has it, longitudinal acceleration [m/s^2].
         follower_actions: (E, A, 1) float64, longitudinal acceleration of the external driver paired
             with the changer in that slot [m/s^2].
-        roads: and what follows, the arrays of State, then those of Parameters.
+        roads: this and the next arguments are the arrays of State, then those of Parameters.
     """
     p = constants[0]
     for env in range(start, stop):

@@ -203,8 +203,7 @@ class ProcessCollector(Workers):
         """End the processes."""
         atexit.unregister(self.shutdown)
         self._collector.shutdown()
-        # Else it does so where it is freed, and at the end of Python it would wait for ever: it
-        # starts a thread.
+        # Left to itself it starts a thread when it is collected: at Python's end that hangs.
         self._scheme.shutdown()
         torch.set_num_threads(self._num_threads)
 

@@ -2,8 +2,6 @@
 
 import contextlib
 import csv
-import importlib.util
-import io
 import json
 import os
 import signal
@@ -15,6 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 from omegaconf import OmegaConf
+from programs import BUSY, load_program, run_main
 
 from marl_lanes import Simulator, load_scenario
 from marl_lanes.envs.followers import find_policies, load_follower
@@ -30,16 +29,6 @@ from marl_lanes.training.config import ConfigError
 torch.set_num_threads(1)
 
 PROGRAM = Path(__file__).parents[2] / "agents" / "adversary" / "train.py"
-SCENARIO = """
-name: busy
-num_agents: 4
-horizon: 60.0
-num_slots: 4
-warmup: [20.0, 30.0]
-road: {length: 400.0}
-departures: {interval: [1.5, 3.0]}
-command: {probability: 1.0}
-"""
 SECTION = [
     "collector.num_envs=16",
     "collector.steps_per_batch=5",
@@ -73,14 +62,17 @@ STATISTICS = {
     "max_follower_braking_all",
 }
 PAPER = load_scenario("paper")
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
-)
+pytestmark = [
+    pytest.mark.training,
+    pytest.mark.filterwarnings(
+        "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+    ),
+]
 
 
 def prepare(folder):
     """A scenario, and a changer that finds its lane without training."""
-    (folder / "busy.yaml").write_text(SCENARIO, encoding="utf-8")
+    (folder / "busy.yaml").write_text(BUSY, encoding="utf-8")
     torch.manual_seed(0)
     save_checkpoint(folder / "changer.pt", make_network(PAPER, "damped", [8]), "busy", 0)
     return folder
@@ -111,20 +103,13 @@ def pairs(path):
 @pytest.fixture(scope="module")
 def program():
     """The program as a module, in this process."""
-    spec = importlib.util.spec_from_file_location("adversary_train", PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    # Dataclasses look their module up.
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return load_program(PROGRAM)
 
 
 def run_here(program, folder, *options):
     """Run the program in this process; what it prints."""
-    out = io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out):
-        program.main([*TINY, *options])
-    return folder / "run", out.getvalue()
+    out, _ = run_main(program, folder, *TINY, *options)
+    return folder / "run", out
 
 
 @pytest.fixture(scope="module")

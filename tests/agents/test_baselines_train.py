@@ -1,7 +1,6 @@
 """The training program of the other algorithms: its run, interruption, and what it refuses."""
 
 import csv
-import importlib.util
 import json
 import os
 import signal
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from programs import BUSY, load_program, run_main
 
 from marl_lanes import load_scenario
 from marl_lanes.cli import main as command
@@ -21,6 +21,7 @@ from marl_lanes.training.checkpoint import load_policy
 PROGRAM = Path(__file__).parents[2] / "agents" / "baselines" / "train.py"
 TINY = [
     "td3",
+    "scenario=busy.yaml",
     "output=run",
     "training_overrides.warmup=[20.0,30.0]",
     "network.hidden_sizes=[8]",
@@ -35,9 +36,18 @@ TINY = [
     "evaluation.final_num_maneuvers=2",
 ]
 TABLES = ("metrics.csv", "maneuvers.csv", "evaluations.csv", "evaluation.json")
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
-)
+pytestmark = [
+    pytest.mark.training,
+    pytest.mark.filterwarnings(
+        "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+    ),
+]
+
+
+def prepare(folder):
+    """The folder, with the scenario in it."""
+    (folder / "busy.yaml").write_text(BUSY, encoding="utf-8")
+    return folder
 
 
 def start(*options, folder):
@@ -53,26 +63,22 @@ def start(*options, folder):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """An uninterrupted run."""
-    folder = tmp_path_factory.mktemp("whole")
-    process = start(*TINY, folder=folder)
-    out, err = process.communicate(timeout=500)
-    assert process.returncode == 0, err[-3000:]
-    return folder / "run", out
+def program():
+    """The program as a module, in this process."""
+    return load_program(PROGRAM)
 
 
 @pytest.fixture(scope="module")
-def program():
-    """The program as a module, in this process."""
-    spec = importlib.util.spec_from_file_location("baselines_train", PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def whole(program, tmp_path_factory):
+    """An uninterrupted run, and what it prints."""
+    folder = prepare(tmp_path_factory.mktemp("whole"))
+    out, _ = run_main(program, folder, *TINY)
+    return folder / "run", out
 
 
-def test_a_run_is_reported_and_its_policy_evaluated(whole, capsys):
+def test_a_run_is_reported_and_its_policy_evaluated(whole, monkeypatch, capsys):
     run, out = whole
+    monkeypatch.chdir(run.parent)
     stored = yaml.safe_load((run / "config.yaml").read_text(encoding="utf-8"))
     assert (stored["algorithm"], stored["loss"]["actor_interval"]) == ("td3", 2)
     result = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
@@ -83,15 +89,16 @@ def test_a_run_is_reported_and_its_policy_evaluated(whole, capsys):
         metrics = list(csv.DictReader(file))
     assert float(metrics[-1]["loss"]) > 0.0
     final = run / "checkpoints" / "final.pt"
-    assert load_policy(final, load_scenario("paper")).transitions >= 200
+    assert load_policy(final, load_scenario("busy.yaml")).transitions >= 200
     # The same maneuvers as the program's.
-    assert command(["evaluate", str(final), "--maneuvers", "2", "--seed", "1000000"]) == 0
+    arguments = ["--scenario", "busy.yaml", "--maneuvers", "2", "--seed", "1000000"]
+    assert command(["evaluate", str(final), *arguments]) == 0
     assert f"{result['mean_episode_reward']:.5g}" in capsys.readouterr().out
 
 
 def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_path, monkeypatch):
     reference, _ = whole
-    process = start(*TINY, folder=tmp_path)
+    process = start(*TINY, folder=prepare(tmp_path))
     metrics = tmp_path / "run" / "metrics.csv"
     while process.poll() is None:
         if metrics.exists() and len(metrics.read_bytes().splitlines()) > 3:
@@ -125,12 +132,12 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_pa
     ],
 )
 def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch, option, message):
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(prepare(tmp_path))
     with pytest.raises(SystemExit) as caught:
         program.main([*TINY, option])
     assert str(caught.value.code).startswith(f"error: {message}")
     assert len(str(caught.value.code).splitlines()) == 1
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
 def test_the_algorithm_is_named(program, capsys):

@@ -7,23 +7,39 @@ import sys
 from pathlib import Path
 
 import pytest
+from programs import load_program
 
 PROGRAM = Path(__file__).parents[2] / "agents" / "cascade" / "tune.py"
 TINY = ["--generations", "2", "--population", "6", "--roads", "2", "--seconds", "40"]
 NAMES = ["limit", "time", "lateral_limit", "lag", "damping", "threshold"]
+pytestmark = pytest.mark.training
 
 
-def run(*options, folder):
-    command = [sys.executable, str(PROGRAM), *options]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+@pytest.fixture(scope="module")
+def program():
+    """The program as a module, in this process."""
+    return load_program(PROGRAM)
 
 
-def test_it_finds_constants_no_dearer_than_the_present_ones(tmp_path):
-    results = []
-    for name in ("one.json", "again.json"):
-        done = run(*TINY, "--output", name, folder=tmp_path)
-        assert done.returncode == 0, done.stderr
-        results.append(json.loads((tmp_path / name).read_text("utf-8")))
+@pytest.fixture
+def run(program, tmp_path, monkeypatch):
+    """Runs the program in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_with(*options):
+        monkeypatch.setattr(sys, "argv", [PROGRAM.name, *TINY, *options])
+        program.main()
+
+    return run_with
+
+
+def test_it_finds_constants_no_dearer_than_the_present_ones(run, tmp_path):
+    run("--output", "here.json")
+    command = [sys.executable, str(PROGRAM), *TINY, "--output", "process.json"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=300)
+    results = [
+        json.loads((tmp_path / name).read_text("utf-8")) for name in ("here.json", "process.json")
+    ]
     result = results[0]
     assert results[1] == result, "the same seed finds the same"
     assert list(result["constants"]) == NAMES
@@ -42,9 +58,12 @@ def test_it_finds_constants_no_dearer_than_the_present_ones(tmp_path):
         (["--seed", "-1"], "--seed -1: must be at least 0", 2),
     ],
 )
-def test_what_cannot_be_is_one_clear_error(tmp_path, options, message, status):
-    done = run(*TINY, *options, "--output", "x.json", folder=tmp_path)
-    assert done.returncode == status
-    last = done.stderr.strip().splitlines()[-1]
-    assert re.search(message, last), done.stderr
+def test_what_cannot_be_is_one_clear_error(run, tmp_path, capsys, options, message, status):
+    with pytest.raises(SystemExit) as caught:
+        run(*options, "--output", "x.json")
+    # Of what the program refuses itself, the message is the status.
+    code = caught.value.code
+    assert (1 if isinstance(code, str) else code) == status
+    said = code if isinstance(code, str) else capsys.readouterr().err
+    assert re.search(message, said.strip().splitlines()[-1]), said
     assert list(tmp_path.iterdir()) == []

@@ -105,6 +105,7 @@ def test_it_passes_the_seed_tests():
     parallel_seed_test(parallel_env)
 
 
+@pytest.mark.slow
 def test_its_aec_form_runs_the_performance_benchmark(capsys):
     performance_benchmark(env())
     assert "Finished performance benchmark" in capsys.readouterr().out
@@ -272,7 +273,7 @@ def test_actions_are_clipped_and_those_of_others_ignored():
 
 @pytest.mark.parametrize("scenario", list_scenarios())
 def test_long_random_rollouts_stay_in_the_spaces(scenario):
-    road = parallel_env(scenario, overrides={"num_agents": 60})
+    road = parallel_env(scenario, overrides={"num_agents": 10})
     for name in road.possible_agents:
         assert road.action_space(name) is road.action_space(name)
         assert road.observation_space(name) is road.observation_space(name)

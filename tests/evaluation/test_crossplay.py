@@ -12,7 +12,14 @@ from marl_lanes.evaluation.policies import make_lane_keeping_policy
 from marl_lanes.evaluation.rollout import run_maneuvers
 
 BUSY = load_scenario(
-    "paper", {"num_agents": 5, "departures": {"interval": [2.0, 4.0]}, "max_vehicles": 128}
+    "paper",
+    {
+        "num_agents": 5,
+        "departures": {"interval": [2.0, 4.0]},
+        "command": {"probability": 1.0},
+        "road": {"length": 600.0},
+        "max_vehicles": 128,
+    },
 )
 FOLLOWERS = {name: {"mix": {name: 1.0}} for name in ("cooperative", "adversarial")}
 

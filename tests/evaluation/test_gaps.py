@@ -17,6 +17,7 @@ BUSY = load_scenario(
     {
         "num_agents": 4,
         "departures": {"interval": [2.0, 4.0]},
+        "command": {"probability": 1.0},
         "max_vehicles": 128,
         # This rule accepts narrow gaps, so there are enough comparable engagements.
         "gap": {"rule": "kinematic"},
@@ -129,12 +130,12 @@ def test_what_is_compared_engages_in_the_same_step_before_the_same_vehicle_nearb
 
 @pytest.fixture(scope="module")
 def compared():
-    return compare_followers(BUSY, changing, FOLLOWERS, 100, seed=1)
+    return compare_followers(BUSY, changing, FOLLOWERS, 160, seed=3)
 
 
 def test_the_same_maneuver_is_shown(compared):
     shown = [compared["followers"][name]["shown"] for name in KINDS]
-    assert compared["seed"] == 1
+    assert compared["seed"] == 3
     starts = {one["gap"][0] for one in shown}
     assert len(starts) == 1
     assert 0.0 < starts.pop() < NEAR_GAP
@@ -151,7 +152,7 @@ def test_the_curves_are_those_of_the_trace(compared):
     index = compared["maneuver"]
     for name in KINDS:
         scenario = load_scenario(BUSY, {"followers": FOLLOWERS[name]})
-        trace = run_maneuvers(scenario, changing, index + 1, seed=1)[index].trace
+        trace = run_maneuvers(scenario, changing, index + 1, seed=3)[index].trace
         shown = compared["followers"][name]["shown"]
         count = len(shown["gap"]) - 1
         assert shown["gap"][1:] == trace["follower_gap"][:count].tolist()
@@ -183,7 +184,7 @@ def test_kind_followers_open_the_gap_and_rude_ones_close_it(compared):
 
 def test_one_kind_is_compared_with_itself():
     one = {"a": FOLLOWERS["neutral"], "b": FOLLOWERS["neutral"]}
-    found = compare_followers(BUSY, changing, one, 20, seed=1)
+    found = compare_followers(BUSY, changing, one, 20, seed=3)
     assert found["followers"]["a"] == found["followers"]["b"]
     assert found["num_compared"] > 0
 
@@ -191,7 +192,7 @@ def test_one_kind_is_compared_with_itself():
 def test_a_wanted_maneuver_is_shown(compared):
     number = compared["maneuver"] + 1
     found = compare_followers(
-        BUSY, changing, FOLLOWERS, number, seed=1, maneuver=compared["maneuver"]
+        BUSY, changing, FOLLOWERS, number, seed=3, maneuver=compared["maneuver"]
     )
     for name in KINDS:
         assert found["followers"][name]["shown"] == compared["followers"][name]["shown"]
@@ -202,7 +203,7 @@ def test_a_maneuver_that_differs_before_it_engages_is_refused():
     refused = {}
     for index in (7, 6, 5):
         try:
-            found = compare_followers(BUSY, changing, FOLLOWERS, 8, seed=1, maneuver=index)
+            found = compare_followers(BUSY, changing, FOLLOWERS, 8, seed=3, maneuver=index)
             assert found["maneuver"] == index
         except ValueError as error:
             refused[index] = str(error)
@@ -229,6 +230,7 @@ def test_bad_arguments_are_refused_before_anything_is_driven(arguments, options,
 
 
 def test_traffic_without_a_near_follower_is_refused():
-    sparse = load_scenario("paper", {"num_agents": 1, "departures": {"interval": [60.0, 61.0]}})
+    few = {"departures": {"interval": [60.0, 61.0]}, "command": {"probability": 1.0}}
+    sparse = load_scenario("paper", {"num_agents": 1} | few)
     with pytest.raises(ValueError, match=r"none of 2 maneuvers engages with a follower nearer"):
         compare_followers(sparse, changing, FOLLOWERS, 2)

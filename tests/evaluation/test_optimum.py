@@ -286,6 +286,7 @@ def cascade_cost(scenario, speed, start, gains):
     return cost_until_completed(scenario, actions, known)
 
 
+@pytest.mark.slow
 @CURVES
 @pytest.mark.parametrize("direction", [1, -1])
 def test_no_policy_of_a_cross_entropy_search_is_cheaper(arcs, direction):
@@ -334,6 +335,7 @@ def test_no_neighbor_of_the_optimum_is_cheaper(arcs, direction):
     assert num_completed > 300
 
 
+@pytest.mark.slow
 @CURVES
 @pytest.mark.parametrize("direction", [1, -1])
 def test_other_beginnings_of_the_search_end_no_lower(arcs, direction):
@@ -456,5 +458,5 @@ def test_refused_input(changes, message):
 
 @pytest.mark.parametrize("speed", [np.zeros(20), np.full(20, 0.01)], ids=["standing", "creeping"])
 def test_out_of_reach(speed):
-    with pytest.raises(ValueError, match=r"^deviation is 3\.75 m; it must be one .* 220 steps"):
+    with pytest.raises(ValueError, match=r"^deviation is 3\.75 m; .* must .* within 220 steps"):
         lane_change(speed, PASSING, action={"max_yaw_acceleration": 0.001})

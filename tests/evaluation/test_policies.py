@@ -12,23 +12,24 @@ from marl_lanes.evaluation.policies import (
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.traffic.machine.state import Outcome
 
-PAPER = load_scenario("paper")
+# Many roads with two commands each take fewer steps than a few with ten.
+SHORT = {"num_agents": 2, "command": {"probability": 1.0}}
+PAPER = load_scenario("paper", SHORT)
 # For a waiting changer in its lane the target's centre is one lane width away.
 FEATURES = ("speed", "acceleration", "lateral_deviation", "yaw", "yaw_rate", "curvature")
 
 
 @pytest.mark.parametrize("name", ["curved", "paper"])
 def test_lane_keeping_never_changes_lanes(name):
-    scenario = load_scenario(name)
+    scenario = load_scenario(name, SHORT)
     maneuvers = run_maneuvers(scenario, make_lane_keeping_policy(scenario), 20, seed=1)
     assert {one.outcome for one in maneuvers} <= {Outcome.MISSED, Outcome.COLLISION}
     assert sum(one.outcome == Outcome.MISSED for one in maneuvers) > 15
     steered = [one.trace for one in maneuvers if len(one.trace) > 50]
     assert len(steered) > 10
     for rows in steered:
-        assert (rows["lateral_deviation"] == pytest.approx(3.75, abs=0.3)) or (
-            np.abs(rows["lateral_deviation"]).min() < 0.3
-        )
+        assert rows["is_in_origin"].all()
+        assert not rows["is_over_marking"].any()
 
 
 @pytest.mark.parametrize(
@@ -118,7 +119,7 @@ def test_random_is_seeded_and_within_the_bound():
 
 
 BOTH = load_scenario(
-    "paper",
+    PAPER,
     {
         "action": {"longitudinal": {"max_acceleration": 1.5, "max_braking": 2.5}},
         "observation": {"features": (*FEATURES, "car_following_acceleration")},

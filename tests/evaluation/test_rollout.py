@@ -193,7 +193,7 @@ def test_outcomes_are_counted(driven):
 
 @pytest.mark.parametrize("name", ["paper", "touch", "curved"])
 def test_no_maneuver_is_cheaper_than_its_optimum(name):
-    scenario = load_scenario(name)
+    scenario = load_scenario(name, {"num_agents": 2, "command": {"probability": 1.0}})
     torch.manual_seed(0)
     policy = greedy_policy(make_network(scenario, "damped"))
     maneuvers = run_maneuvers(scenario, policy, 6, seed=1)

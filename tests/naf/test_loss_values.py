@@ -164,6 +164,7 @@ def test_updaters():
 
 
 # tensordict asks for an option that torch has retired.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:torch._dynamo.config.inline_inbuilt_nn_modules:FutureWarning")
 @pytest.mark.parametrize("estimator", [ValueEstimators.TD0, ValueEstimators.TDLambda])
 def test_compile(estimator):

@@ -97,6 +97,7 @@ def test_the_coupling_of_both_actions_has_a_gradient():
     assert (diagonal.abs() > 1e-3).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_the_coupling_of_both_actions_is_learned(sign):
     network = make_network("damped+idm")

@@ -1,4 +1,4 @@
-"""What changer and follower would do without the change, by hand and in traffic."""
+"""Accelerations of changer and follower without the change, by hand and in traffic."""
 
 import math
 
@@ -16,7 +16,7 @@ LENGTH = PAPER.vehicle.length
 
 
 def law(speed, leaders=(), *, s0=5.0, headway=1.0):
-    """Eq. 9 toward leaders, each (gap, speed) [m, m/s], of a normal driver who wants 30 m/s."""
+    """Eq. 9 behind leaders, each (gap, speed) [m, m/s], of a normal driver with v0 = 30 m/s."""
     terms = [(speed / V0) ** 4]
     for gap, ahead in leaders:
         wanted = s0 + speed * headway + speed * (speed - ahead) / (2.0 * math.sqrt(A * B))
@@ -25,7 +25,7 @@ def law(speed, leaders=(), *, s0=5.0, headway=1.0):
 
 
 def staged(*cars, scenario=PAPER, changers=((0, 1),), phase=Phase.ENGAGED):
-    """Cars on road 1 of 2, and agents (slot, direction) whose neighbors have been found."""
+    """Accelerations with cars on road 1 of 2, for changers, each (vehicle slot, direction)."""
     simulator = Simulator(scenario, 2, seed=0)
     simulator.reset()
     stage(simulator, env=0)
@@ -47,7 +47,7 @@ def staged(*cars, scenario=PAPER, changers=((0, 1),), phase=Phase.ENGAGED):
     return [[one[1, index] for index in agents] for one in found]
 
 
-def test_the_changer_follows_its_origin_leader_alone():
+def test_the_changer_follows_only_its_origin_leader():
     cars = ({"lane": 1, "position": 300.0, "speed": 20.0}, {"lane": 2, "position": 312.0})
     (alone,), _ = staged(*cars)
     assert alone == pytest.approx(law(20.0))
@@ -58,7 +58,7 @@ def test_the_changer_follows_its_origin_leader_alone():
     assert staged(cars[0], near)[0] == [-8.0]
 
 
-def test_the_follower_follows_who_is_ahead_of_the_changer():
+def test_the_follower_follows_the_vehicle_ahead_of_the_changer():
     changer = {"lane": 1, "position": 300.0, "speed": 20.0, "lateral_position": 7.0}
     follower = {"lane": 2, "position": 285.0, "speed": 22.0}
     _, (free,) = staged(changer, follower)
@@ -70,7 +70,7 @@ def test_the_follower_follows_who_is_ahead_of_the_changer():
     assert math.isnan(staged(changer)[1][0])
 
 
-def test_a_follower_between_two_lanes_heeds_both():
+def test_a_follower_in_two_lanes_follows_in_both():
     changer = {"lane": 1, "position": 300.0, "speed": 20.0}
     follower = {"lane": 2, "position": 285.0, "speed": 22.0, "lateral_position": 7.6}
     ahead = {"lane": 1, "position": 315.0, "speed": 20.0}
@@ -79,8 +79,8 @@ def test_a_follower_between_two_lanes_heeds_both():
     assert found == pytest.approx(law(22.0, [(30.0 - LENGTH, 20.0)]))
 
 
-def test_whatever_its_disposition_is():
-    """An adversarial driver would be in no hurry, and a cooperative one would not yield."""
+def test_the_followers_disposition_has_no_effect():
+    """An adversarial driver does not accelerate more, and a cooperative one does not yield."""
     changer = {"lane": 1, "position": 300.0, "speed": 20.0}
     for disposition in range(3):
         follower = {"lane": 2, "position": 285.0, "speed": 22.0, "disposition": disposition}
@@ -96,8 +96,8 @@ def test_an_aborting_changer_counts_and_a_waiting_one_does_not():
 
 
 @pytest.mark.parametrize("name", ["paper", "curved"])
-def test_in_traffic_it_is_what_they_do_as_long_as_the_change_has_no_effect(name):
-    """Neutral followers before the marking; changers without a target leader."""
+def test_in_traffic_they_drive_so_as_long_as_the_change_has_no_effect(name):
+    """Neutral followers and changers without target leader, before the body is in the lane."""
     sparse = {"departures": {"interval": [2.0, 60.0]}}
     simulator = Simulator(load_scenario(name, sparse), 40, seed=3)
     simulator.reset()

@@ -1,4 +1,4 @@
-"""What happens on the roads is what was recorded, field by field."""
+"""The trajectories are equal to the recorded ones, in every field."""
 
 import json
 import os
@@ -12,7 +12,7 @@ RECORDED = json.loads(golden.FILE.read_text(encoding="utf-8"))
 
 pytestmark = pytest.mark.skipif(
     golden.fingerprint() != RECORDED["fingerprint"],
-    reason="recorded where sin, cos or pow round the last bit differently",
+    reason="recorded on a machine where sin, cos or pow differ in the last bit",
 )
 
 
@@ -20,17 +20,22 @@ def test_every_scenario_is_recorded():
     assert set(RECORDED["long"]) == set(RECORDED["short"]) == set(golden.SCENARIOS)
 
 
+def assert_recorded(found, recorded):
+    assert recorded.keys() <= found.keys()
+    # A new term of a reward has the weight 0 here, and changes no trajectory.
+    assert all(".terms." in field for field in found.keys() - recorded.keys())
+    assert [field for field in recorded if found[field] != recorded[field]] == []
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", golden.SCENARIOS)
-def test_the_roads_are_those_recorded(name):
-    found = golden.record(name, **golden.LONG)
-
-    recorded = RECORDED["long"][name]
-    assert found.keys() == recorded.keys()
-    assert [field for field in found if found[field] != recorded[field]] == []
+def test_trajectories_are_those_recorded(name):
+    assert_recorded(golden.record(name, **golden.LONG), RECORDED["long"][name])
 
 
-def test_the_same_where_nothing_is_compiled():
-    names = ["learned", "mixed", "curved"]
+@pytest.mark.slow
+def test_interpreted_kernels_give_the_same_trajectories():
+    names = list(golden.SCENARIOS)
 
     result = subprocess.run(
         [sys.executable, golden.__file__, "short", *names],
@@ -40,4 +45,6 @@ def test_the_same_where_nothing_is_compiled():
         check=True,
     )
 
-    assert json.loads(result.stdout) == {name: RECORDED["short"][name] for name in names}
+    found = json.loads(result.stdout)
+    for name in names:
+        assert_recorded(found[name], RECORDED["short"][name])

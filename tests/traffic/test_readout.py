@@ -1,4 +1,4 @@
-"""The columns that the changers are told."""
+"""The columns that are read out for changers and followers."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_every_phase_and_outcome(has_longitudinal):
         np.testing.assert_array_equal(values, wanted[key], err_msg=name, strict=True)
 
 
-def test_a_follower_acts_where_its_policy_is_the_learners_and_ends_with_its_changer():
+def test_a_follower_acts_if_a_learner_drives_it_and_ends_with_its_changer():
     agents, followers = np.zeros((1, 4), CHANGER.dtype), np.zeros((1, 4), FOLLOWER.dtype)
     agents["phase"] = [Phase.ENGAGED, Phase.WAITING, Phase.ABSENT, Phase.ABSENT]
     agents["outcome"] = [0, 0, Outcome.COMPLETED, Outcome.MISSED]

@@ -1,4 +1,4 @@
-"""The kernel against the oracle of reference.py, step by step from the kernel's own state."""
+"""The kernel compared with reference.py, each step beginning from the kernel's own state."""
 
 import math
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from reference import FOLLOWER_TERMS, SCRIPTED, Road
-from staging import command, damped_actions, stage
+from staging import command, damped_actions, rows_of, stage
 
 from marl_lanes.scenario import list_scenarios, load_scenario
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
@@ -61,7 +61,7 @@ OPEN_GAP = {"gap": {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0, "m
 
 @dataclass
 class Case:
-    """A scenario, how its agents are driven, and what must happen for the case to be worth it."""
+    """A scenario, the actions of its agents, and what must occur in the case."""
 
     scenario: str
     overrides: dict
@@ -73,10 +73,14 @@ class Case:
     has_learner: bool = False
     pushing: float = 0.0
     policies: dict = field(default_factory=dict)
+    num_roads: int = 1
 
 
 CASES = {
-    **{name: Case(name, {"observation": EVERY_FEATURE}, 120) for name in list_scenarios()},
+    **{
+        name: Case(name, {"observation": EVERY_FEATURE}, 120, num_roads=2)
+        for name in list_scenarios()
+    },
     "mixed": Case("paper", MIXED, 200, seed=1, meets=(Outcome.COMPLETED,)),
     "settled changes": Case("paper", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
     "sum": Case("dense", {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "sum"}}, 60),
@@ -227,11 +231,12 @@ def compare_vehicles(road, simulator, env):
     slots = simulator.state.order[env, :count].tolist()
     assert slots == [car.slot for car in road.cars]
     names = list(simulator.scenario.drivers.profiles)
+    rows = rows_of(simulator.vehicles[env])
+    floats = [name for name, (kind, *_) in simulator.vehicles.dtype.fields.items() if kind == "f8"]
     for car in road.cars:
-        row = simulator.vehicles[env, car.slot]
-        for name, (kind, *_) in row.dtype.fields.items():
-            if kind == "f8":
-                assert close(row[name], getattr(car, name)), (name, car)
+        row = rows[car.slot]
+        for name in floats:
+            assert close(row[name], getattr(car, name)), (name, car)
         lanes = road.lanes_of(car)
         agent = car.agent.slot if car.agent else -1
         changer = car.changer.slot if car.changer else -1
@@ -244,7 +249,7 @@ def compare_vehicles(road, simulator, env):
 
 
 def compare_agents(road, simulator, env):
-    for slot, row in enumerate(simulator.agents[env]):
+    for slot, row in enumerate(rows_of(simulator.agents[env])):
         agent = road.agents.get(slot)
         seen = simulator.state.observations[env, slot]
         if agent is None:
@@ -277,10 +282,10 @@ def compare_agents(road, simulator, env):
 
 
 def compare_followers(road, simulator, env):
-    for slot, row in enumerate(simulator.state.followers[env]):
+    for slot, row in enumerate(rows_of(simulator.state.followers[env])):
         follower = road.followers.get(slot) if road.external_names else None
         seen = simulator.state.follower_observations[env, slot]
-        terms = row["terms"].tolist()
+        terms = row["terms"]
         if follower is None:
             assert (row["vehicle"], row["policy"]) == (-1, -1)
             assert not any(terms)
@@ -301,7 +306,7 @@ def compare_followers(road, simulator, env):
 
 
 def met_behind(road):
-    """What happened to the drivers behind the changers."""
+    """What occurred to the drivers behind the changers."""
     for slot, follower in road.followers.items():
         yield "unpaired" if follower.car is None else "paired"
         yield from (term for term, value in follower.terms.items() if value)
@@ -310,9 +315,13 @@ def met_behind(road):
             yield "scripted"
 
 
-def met_beside(road, before):
-    """What those did who moved over."""
-    moving = {car.id: car.lane for car in before.cars if car.moving_over}
+def moving_over(road):
+    """The lanes of the vehicles that move over, by id."""
+    return {car.id: car.lane for car in road.cars if car.moving_over}
+
+
+def met_beside(road, moving):
+    """What occurred to the vehicles that move over, or did before the step."""
     for car in road.cars:
         if car.moving_over:
             yield "moving over"
@@ -337,10 +346,10 @@ def compare_road(road, simulator, env):
 
 
 def follow(case):
-    """Run the case, every step held against the oracle; the phases and outcomes that occurred."""
+    """Run the case and compare every step; returns the phases and outcomes that occurred."""
     simulator = Simulator(
         case.scenario,
-        2,
+        case.num_roads,
         seed=case.seed,
         overrides=case.overrides,
         learned_followers=case.has_learner,
@@ -351,7 +360,8 @@ def follow(case):
     names = simulator.scenario.followers.external_names
     met = set()
     for _ in range(case.num_steps):
-        roads, before = ([Road.of(simulator, env) for env in range(2)] for _ in range(2))
+        roads = [Road.of(simulator, env) for env in range(case.num_roads)]
+        moving = [moving_over(road) for road in roads]
         actions = damped_actions(simulator, case.noise, generator)
         actions[..., 0] += case.bias
         behind = generator.uniform(-7.0, 7.0, (*simulator.agents.shape, 1)) + case.pushing
@@ -369,17 +379,17 @@ def follow(case):
             met |= {agent.phase for agent in road.agents.values()}
             met |= {agent.outcome for agent in road.agents.values()}
             met |= set(met_behind(road))
-            met |= set(met_beside(road, before[env]))
+            met |= set(met_beside(road, moving[env]))
     return met
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_one_step_of_the_kernel_is_one_step_of_the_oracle(name):
+def test_one_step_of_the_kernel_is_one_step_of_the_reference(name):
     met = follow(CASES[name])
     assert met.issuperset(CASES[name].meets), f"this case does not meet {CASES[name].meets}: {met}"
 
 
-def test_a_move_that_is_taken_back_is_the_oracles():
+def test_a_move_that_is_taken_back_is_that_of_the_reference():
     fields = {"warmup": [0.0, 0.0], "observation": EVERY_FEATURE}
     simulator = Simulator("yielding", overrides=fields)
     simulator.reset()
@@ -393,14 +403,15 @@ def test_a_move_that_is_taken_back_is_the_oracles():
     met = set()
     for count in range(60):
         if count == 4:
-            # Somebody fast, close behind.
+            # A fast vehicle, close behind.
             other = simulator.vehicles[0, 2]
             other["position"], other["speed"] = simulator.vehicles[0, 0]["position"] - 6.0, 30.0
-        road, before = Road.of(simulator), Road.of(simulator)
+        road = Road.of(simulator)
+        moving = moving_over(road)
         simulator.step()
         road.step(simulator.actions[0].tolist(), simulator.follower_actions[0, :, 0].tolist())
         compare_road(road, simulator, 0)
         compare_vehicles(road, simulator, 0)
         compare_agents(road, simulator, 0)
-        met |= set(met_beside(road, before))
+        met |= set(met_beside(road, moving))
     assert met == {"moving over", "took back"}

@@ -1,4 +1,4 @@
-"""The simulator's promises: reproducible bytes, independent roads, checked arguments."""
+"""The simulator: reproducible bytes, independent roads, checked arguments."""
 
 import copy
 import json
@@ -26,7 +26,7 @@ MIXED = {
 
 
 def actions_of(step, num_envs, num_slots):
-    """Row e is the same for every number of roads."""
+    """(E, A, 1) random actions; row e is the same for every number of roads."""
     generators = [np.random.default_rng((step, env)) for env in range(num_envs)]
     return np.stack([generator.uniform(-0.5, 0.5, (num_slots, 1)) for generator in generators])
 
@@ -41,7 +41,7 @@ def rollout(simulator, num_steps, start=0):
 
 
 def row_bytes(simulator, env):
-    """Every field's bytes of one road; the padding between the fields means nothing."""
+    """The bytes of every field of one road, without the padding between fields."""
     rows = []
     for array in simulator.state.arrays:
         rows += (
@@ -57,7 +57,7 @@ def made(num_envs, *, seed=4, num_threads=1, scenario="five_lanes"):
 
 
 @pytest.mark.parametrize(("num_envs", "num_threads"), [(3, 1), (3, 2), (5, 2), (5, 3), (7, 7)])
-def test_a_road_does_not_depend_on_the_batch_nor_on_the_threads(num_envs, num_threads):
+def test_a_road_does_not_depend_on_the_batch_or_the_threads(num_envs, num_threads):
     expected = rollout(made(5), 80)
     found = rollout(made(num_envs, num_threads=num_threads), 80)
     shared = min(num_envs, 5)
@@ -77,7 +77,7 @@ def test_the_same_seed_and_actions_give_the_same_bytes_and_another_seed_others()
     assert np.intersect1d(ours[ours > 0.0], theirs[theirs > 0.0]).size == 0
 
 
-def test_a_used_simulator_seeded_again_plays_the_same_episode():
+def test_a_used_simulator_seeded_again_runs_the_same_episode():
     fresh, used = made(2), made(2, seed=99)
     rollout(used, 50)
     used.seed(4)
@@ -95,7 +95,7 @@ def test_a_used_simulator_seeded_again_plays_the_same_episode():
         assert fresh.vehicles[is_there].tobytes() == used.vehicles[is_there].tobytes()
 
 
-def test_a_reset_goes_on_with_the_random_numbers():
+def test_a_reset_continues_the_random_numbers():
     simulator = made(1)
     first = simulator.vehicles["position"].copy()
     simulator.reset()
@@ -115,7 +115,7 @@ def test_a_masked_reset_leaves_the_other_roads_bytes():
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])  # noqa: S301
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_a_copy_in_mid_rollout_continues_identically_and_apart(copied, num_threads):
+def test_a_copy_during_a_rollout_continues_identically_and_separately(copied, num_threads):
     simulator = made(3, num_threads=num_threads)
     rollout(simulator, 40)
     twin = copied(simulator)
@@ -125,7 +125,7 @@ def test_a_copy_in_mid_rollout_continues_identically_and_apart(copied, num_threa
     assert rollout(twin, 40, 40) == expected
 
 
-def test_advance_until_live_stops_where_someone_is_live():
+def test_advance_until_live_stops_with_a_live_agent():
     simulator = Simulator("paper", 6, seed=2)
     simulator.reset()
     simulator.advance_until_live()
@@ -166,7 +166,7 @@ def test_no_actions_are_zeros():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_an_action_that_is_not_finite_is_refused_where_it_would_steer(value):
+def test_an_action_that_is_not_finite_is_refused_if_its_agent_steers(value):
     simulator = Simulator("paper", 2, overrides={"warmup": [0.0, 0.0]})
     simulator.reset()
     stage(simulator, {"lane": 1, "position": 300.0}, env=1)
@@ -219,7 +219,7 @@ def test_wrong_shapes_are_refused():
         simulator.step(None, np.zeros((3, 8)))
 
 
-def test_the_views_tell_who_is_live_engaged_and_over():
+def test_the_masks_show_live_steering_and_ended_agents():
     simulator = made(3, scenario="paper")
     seen = np.zeros(3, bool)
     for _ in range(300):
@@ -239,7 +239,7 @@ def test_every_quantity_of_the_state_has_a_unit_and_a_meaning(name):
     assert len({row[0] for row in table}) == len(table)
     for field, kind, unit, meaning in table:
         assert field.islower()
-        assert np.dtype(kind).itemsize in (4, 8)
+        assert np.dtype(kind.removeprefix("(T,)")).itemsize in (4, 8)
         assert unit in {"m", "m/s", "m/s^2", "rad", "rad/s", "rad/s^2", "s", "1", "lane", "step"}
         assert len(meaning) > 3
 
@@ -267,8 +267,9 @@ json.dump(result, sys.stdout)
 """
 
 
+@pytest.mark.slow
 def test_the_interpreted_kernel_is_the_compiled_one():
-    """Every kernel line also runs as Python, where coverage and debuggers see it."""
+    """All kernels also run as plain Python, for coverage and debuggers."""
     overrides = {
         **MIXED,
         "command": {"probability": 1.0, "position": [40.0, 60.0]},

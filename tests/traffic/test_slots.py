@@ -1,8 +1,8 @@
-"""Slots are storage: who stands in which one changes nothing that happens."""
+"""Slots are only storage: the choice of slots has no influence on the traffic."""
 
 import numpy as np
 import pytest
-from staging import command, damped_actions, stage
+from staging import command, damped_actions, rows_of, stage
 
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 from marl_lanes.traffic.simulator import Simulator
@@ -23,7 +23,7 @@ VEHICLE_INDICES = "vehicle", "leader", "follower", "target_leader", "target_foll
 
 
 def shuffle(simulator, vehicle_places, agent_places):
-    """Put what is in vehicle slot i into vehicle_places[i], the agents and followers likewise."""
+    """Move vehicle slot i to vehicle_places[i], and agent and follower slots to agent_places."""
     state = simulator.state
     to_vehicle, to_agent = np.append(vehicle_places, -1), np.append(agent_places, -1)
     for array in (state.agents, state.followers):
@@ -46,23 +46,25 @@ def shuffle(simulator, vehicle_places, agent_places):
 
 
 def story(simulator):
-    """The state of road 0 in terms of ids and commands, free of slots."""
-    state, cars = simulator.state, simulator.vehicles[0]
-    ids, commands = np.append(cars["id"], -1), np.append(simulator.agents[0]["command"], -1)
-    told = {("road", name): state.roads[0][name] for name in state.roads.dtype.names}
-    for car in cars[cars["id"] >= 0]:
-        named = {name: car[name] for name in car.dtype.names}
-        named |= {"changer": ids[car["changer"]], "agent": commands[car["agent"]]}
-        told |= {("car", car["id"], name): value for name, value in named.items()}
-    for slot, agent in enumerate(simulator.agents[0]):
+    """The state of road 0 by ids and commands instead of slots."""
+    state, cars, agents = (
+        simulator.state,
+        rows_of(simulator.vehicles[0]),
+        rows_of(simulator.agents[0]),
+    )
+    ids = [*(car["id"] for car in cars), -1]
+    commands = [*(agent["command"] for agent in agents), -1]
+    told = {"road": rows_of(state.roads)[0]}
+    for car in cars:
+        if car["id"] >= 0:
+            named = {"changer": ids[car["changer"]], "agent": commands[car["agent"]]}
+            told["car", car["id"]] = car | named
+    for slot, (agent, behind) in enumerate(zip(agents, rows_of(state.followers[0]), strict=True)):
         if agent["vehicle"] < 0:
             continue
-        behind = state.followers[0, slot]
-        for row in (agent, behind):
-            named = {name: row[name].tolist() for name in row.dtype.names}
-            named |= {name: ids[row[name]] for name in VEHICLE_INDICES if name in named}
-            kind = len(named)
-            told |= {(kind, agent["command"], name): value for name, value in named.items()}
+        for kind, row in (("agent", agent), ("behind", behind)):
+            named = {name: ids[row[name]] for name in VEHICLE_INDICES if name in row}
+            told[kind, agent["command"]] = row | named
         told["seen", agent["command"]] = state.observations[0, slot].tobytes()
         told["seen behind", agent["command"]] = state.follower_observations[0, slot].tobytes()
     return told
@@ -94,7 +96,7 @@ def test_a_step_does_not_depend_on_the_slots(scenario):
 
 
 @pytest.mark.parametrize("slots", [(0, 1), (1, 0)])
-def test_who_engages_in_this_step_is_a_follower_at_once(slots):
+def test_an_agent_that_engages_can_be_a_follower_in_the_same_step(slots):
     """Two changers toward one lane engage in the same step; the rear one follows the front one."""
     simulator = Simulator(
         "paper",
@@ -119,7 +121,7 @@ def test_who_engages_in_this_step_is_a_follower_at_once(slots):
 
 
 @pytest.mark.parametrize("slots", [(0, 1), (1, 0)])
-def test_of_two_for_whom_there_is_one_gap_the_front_one_has_it(slots):
+def test_if_two_agents_could_accept_one_gap_the_front_one_does(slots):
     simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], "road": {"num_lanes": 5}})
     simulator.reset()
     places = {slots[0]: {"lane": 1, "position": 102.0}, slots[1]: {"lane": 3, "position": 100.0}}
@@ -133,8 +135,8 @@ def test_of_two_for_whom_there_is_one_gap_the_front_one_has_it(slots):
 
 
 @pytest.mark.parametrize("slots", [(0, 1), (1, 0)])
-def test_two_that_end_together_see_each_other_as_they_were(slots):
-    """The last observation of each has the other engaged, so in the target lane."""
+def test_two_agents_that_end_together_still_observe_each_other(slots):
+    """In the last observation of each the other is still engaged, so in the target lane."""
     simulator = Simulator(
         "paper",
         overrides={

@@ -1,4 +1,4 @@
-"""Traffic: entering, leaving, no vehicle lost or made, nobody collides unasked."""
+"""Traffic: entering, leaving, conservation of vehicles, no collisions without actions."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,7 @@ def test_vehicles_are_conserved_under_random_actions(name):
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.6])
-def test_vehicles_are_conserved_where_they_collide(bias):
+def test_vehicles_are_conserved_when_they_collide(bias):
     overrides = {
         **OPEN_GAP,
         "command": {"probability": 1.0},
@@ -97,7 +97,7 @@ def test_vehicles_are_conserved_where_they_collide(bias):
 
 
 def test_a_departure_waits_for_room():
-    """A queue at the road's entrance: the rear bumper of who stands there is never overlapped."""
+    """In a queue at the road's entrance an entering vehicle keeps at least s0 to its leader."""
     overrides = {
         **NO_COMMANDS,
         "departures": {"interval": [0.5, 1.0], "initial_speed": [4.0, 30.0]},
@@ -144,7 +144,7 @@ def test_departures_follow_the_scenario():
         fresh.append(simulator.vehicles[simulator.vehicles["id"] >= entered_before[:, None]].copy())
     cars = np.concatenate(fresh)
     per_lane = np.bincount(cars["lane"], minlength=3) / 40
-    # 120 s at one in 7.5 s; where a leader has just entered slowly, somewhat fewer.
+    # 120 s with one vehicle per 7.5 s, and slightly fewer: some wait behind a slow leader.
     assert ((per_lane > 14.0) & (per_lane < 17.0)).all()
     assert (cars["position"] == 0.0).all()
     assert cars["lateral_position"] == pytest.approx(1.875 + 3.75 * cars["lane"])
@@ -181,13 +181,13 @@ def test_a_reset_starts_from_a_road_that_carries_traffic():
     assert (roads["num_vehicles"] >= 6).all()
     assert len(set(roads["num_vehicles"].tolist())) > 3
     assert simulator.vehicles["position"][present(simulator)].max() > 900.0
-    # Whoever passed the command positions in the warm-up has been decided without a draw.
+    # Vehicles that passed their command position in the warm-up get no command.
     is_past = present(simulator) & (simulator.vehicles["position"] > 160.0)
     assert np.isinf(simulator.vehicles["command_position"][is_past]).all()
 
 
 def test_the_warm_up_is_as_long_as_the_scenario_says():
-    """The first departure of a lane comes within the first interval; the ids tell the age."""
+    """A longer warm-up has more vehicles, which are further along the road."""
     short = Simulator("paper", 30, overrides={"warmup": [10.0, 10.0]})
     long = Simulator("paper", 30, overrides={"warmup": [40.0, 40.0]})
     short.reset()

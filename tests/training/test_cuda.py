@@ -7,6 +7,7 @@ from learners import Evaluation, changers, followers
 from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
 
 pytestmark = [
+    pytest.mark.training,
     pytest.mark.skipif(not torch.cuda.is_available(), reason="torch can use no GPU"),
     pytest.mark.filterwarnings(
         "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"

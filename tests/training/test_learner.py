@@ -11,9 +11,12 @@ from marl_lanes.naf.checkpoint import read_checkpoint
 from marl_lanes.training.config import ConfigError
 
 torch.set_num_threads(1)
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
-)
+pytestmark = [
+    pytest.mark.training,
+    pytest.mark.filterwarnings(
+        "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+    ),
+]
 
 
 @pytest.mark.parametrize("make", [changers, followers])

@@ -19,6 +19,7 @@ from marl_lanes.training.workers import RayTrafficCollector
 
 pytest.importorskip("ray", reason="Ray is not installed (extra ray)")
 pytestmark = [
+    pytest.mark.ray,
     pytest.mark.filterwarnings(
         "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
     ),

@@ -194,6 +194,7 @@ class Parts:
         }
 
 
+@pytest.mark.training
 @collector_warnings
 @pytest.mark.parametrize("overrides", [NEW, ENDING], ids=["endless", "episodes"])
 @pytest.mark.parametrize("capacity", [300, 100_000], ids=["ring", "part"])
@@ -224,6 +225,7 @@ def test_a_restored_training_goes_on_identically(tmp_path, overrides, capacity):
         parts.collector.shutdown()
 
 
+@pytest.mark.training
 @collector_warnings
 def test_a_state_before_the_first_transition(tmp_path):
     one = Parts(NEW)

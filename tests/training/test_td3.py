@@ -207,6 +207,7 @@ class Crash(Evaluation):
         return super().__call__(network)
 
 
+@pytest.mark.training
 @pytest.mark.parametrize("overrides", [BUSY, TWO_ACTIONS], ids=["one", "two"])
 def test_a_training_that_is_resumed_is_the_same(tmp_path, overrides):
     one = make(overrides=overrides)
@@ -228,6 +229,7 @@ def test_a_training_that_is_resumed_is_the_same(tmp_path, overrides):
         assert torch.equal(state(other.algorithm)[key], value), key
 
 
+@pytest.mark.training
 def test_a_copy_that_drives_follows_the_actor(tmp_path):
     found = {}
     for name, places in (("one", {}), ("copy", {"acting_device": torch.device("cpu", 0)})):

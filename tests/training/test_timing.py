@@ -47,6 +47,7 @@ class Clock:
         setattr(owner, name, slowed)
 
 
+@pytest.mark.training
 def test_the_parts_are_the_whole(tmp_path):
     learner = changers()
     learner.begin(tmp_path / "run")
@@ -65,6 +66,7 @@ def test_the_parts_are_the_whole(tmp_path):
     assert total + counters["seconds_evaluating"] < elapsed
 
 
+@pytest.mark.training
 @pytest.mark.parametrize("activity", ["simulate", "act", "store", "learn", OTHER, "evaluate"])
 def test_each_is_counted_as_what_it_is(tmp_path, monkeypatch, activity):
     clock = Clock(monkeypatch)

@@ -24,9 +24,12 @@ from marl_lanes import LaneChangeEnv
 from marl_lanes.training.collectors import LocalCollector, WorkerError
 from marl_lanes.training.workers import ProcessCollector, WorkerEnv
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
-)
+pytestmark = [
+    pytest.mark.training,
+    pytest.mark.filterwarnings(
+        "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+    ),
+]
 torch.set_num_threads(1)
 
 

@@ -1,4 +1,4 @@
-"""Gap selection: acceptance, and the same check again at every step."""
+"""The gap rule: acceptance of a gap, and the same check in every later step."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ def is_gap_wide(rear: Any, front: Any, constants: Any) -> bool:
 
 @internal
 def is_following_safe(rear: Any, front: Any, braking: float, profiles: Any, constants: Any) -> bool:
-    """Rule car_following: gap >= d_min, and the rear driver's own law >= -braking.
+    """Rule car_following: gap >= d_min, and the rear driver's acceleration >= -braking.
 
     Source: the safety criterion of MOBIL; Kesting, Treiber, Helbing 2007, eq. 2.
     """
@@ -35,7 +35,7 @@ def is_following_safe(rear: Any, front: Any, braking: float, profiles: Any, cons
 
 @internal
 def is_gap_safe(rear: Any, front: Any, braking: float, profiles: Any, constants: Any) -> bool:
-    """Whether the scenario's gap rule holds between two vehicles, ``braking`` its b_safe."""
+    """Whether the scenario's gap rule holds between two vehicles, with b_safe = ``braking``."""
     if constants.is_gap_kinematic:
         return bool(is_gap_wide(rear, front, constants))
     return bool(is_following_safe(rear, front, braking, profiles, constants))
@@ -45,8 +45,8 @@ def is_gap_safe(rear: Any, front: Any, braking: float, profiles: Any, constants:
 def is_target_gap_safe(agent: Any, vehicles: Any, profiles: Any, constants: Any) -> bool:
     """Whether the gaps to the target lane's leader and follower are both safe.
 
-    Of a waiting agent with a margin: without one a gap is often given up in the step after it was
-    accepted.
+    For a waiting agent with a margin: without it agents would often abort in the step after they
+    engage.
     """
     car = vehicles[agent.vehicle]
     braking = constants.gap_safe_braking

@@ -20,7 +20,7 @@ _HORIZON = int(Outcome.HORIZON)
 
 @internal
 def has_arrived(deviation: float, car: Any, turning: float, constants: Any) -> bool:
-    """The completion criterion: every bound that the scenario sets holds."""
+    """Whether the completion criterion holds: every bound that the scenario sets."""
     return bool(
         abs(deviation) <= constants.completion_max_deviation
         and abs(car.speed * math.sin(car.yaw)) <= constants.completion_max_lateral_speed
@@ -32,7 +32,7 @@ def has_arrived(deviation: float, car: Any, turning: float, constants: Any) -> b
 def find_outcome(
     agent: Any, car: Any, deviation: float, turning: float, road: Any, constants: Any
 ) -> int:
-    """How the command ends in this step, if it does."""
+    """Outcome of the command in this step, UNFINISHED if it goes on."""
     if car.fate == _COLLIDES:
         return _COLLISION
     if car.fate == _STRAYS:

@@ -1,6 +1,6 @@
-"""The command's life: given, waiting, engaged, aborting, and how it ends.
+"""The life of a command: waiting, engaged, aborting, and its end.
 
-waiting: lane keeping steers, the gap selector looks at the target lane. engaged: the agent steers
+waiting: lane keeping steers, the gap rule checks the target lane. engaged: the agent steers
 toward the target lane. aborting: the agent steers back to the origin lane, then waits again.
 """
 
@@ -30,7 +30,7 @@ def is_live(agent: Any) -> bool:
 
 @internal
 def is_aborting(agent: Any) -> bool:
-    """Whether the agent steers back to the lane that it came from."""
+    """Whether the agent steers back to its origin lane."""
     return bool(agent.phase == _ABORTING)
 
 
@@ -42,17 +42,17 @@ def is_steering(agent: Any) -> bool:
 
 @internal
 def is_acting(agent: Any, has_longitudinal: bool) -> bool:
-    """Whether its action has an effect: it steers, or is live and drives by its second action."""
+    """Whether its action has an effect: it steers, or it is live and has a second action."""
     return is_steering(agent) or (has_longitudinal and is_live(agent))
 
 
 @internal
 def reference_lane(phase: Any, origin_lane: Any, target_lane: Any) -> Any:
-    """The lane that an agent steers to: its origin while aborting, else its target.
+    """The reference lane of an agent: its origin lane while aborting, else its target lane.
 
-    A waiting agent already sees the change that lies before it.
+    So a waiting agent already observes its deviation from the target lane.
     """
-    # Without a branch, so that it also takes columns of a table.
+    # Without a branch, so that it also works on columns of a table.
     return target_lane + (origin_lane - target_lane) * (phase == _ABORTING)
 
 
@@ -66,14 +66,14 @@ def lateral_deviation(agent: Any, car: Any, constants: Any) -> float:
 
 @internal
 def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: Any) -> None:
-    """Command middle-lane vehicles that reach their command position, each once.
+    """Give commands to vehicles in the commanded lanes at their command position, each once.
 
-    Where no agent slot is free the decision waits for one.
+    If no agent slot is free, the decision waits for one.
     """
     for rank in range(road.num_vehicles):
         slot = order[rank]
         car = vehicles[slot]
-        # Who is moving over decides afterwards.
+        # If a vehicle is moving over, the decision waits until the move ends.
         if car.position < car.command_position or car.moving_over != 0:
             continue
         is_last_step = road.step == constants.horizon_steps > 0
@@ -107,7 +107,7 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
 
 @internal
 def change_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, constants: Any) -> None:
-    """Engage, abort or return to waiting, by the gap selector and the vehicle's place."""
+    """Engage, abort or return to waiting, by the gap rule and the vehicle's position."""
     car = vehicles[agent.vehicle]
     if agent.phase == _WAITING:
         if is_target_gap_safe(agent, vehicles, profiles, constants):
@@ -164,6 +164,6 @@ def clear_agent(agent: Any) -> None:
 
 @internal
 def clear_payment(record: Any) -> None:
-    """Nothing is paid to the agent, or to the follower, for this step."""
+    """Set the reward of an agent or a follower for this step to 0."""
     record.reward = 0.0
     record.terms[:] = 0.0

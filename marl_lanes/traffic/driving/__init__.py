@@ -1,1 +1,1 @@
-"""What every vehicle does: how fast it goes, and when it makes way."""
+"""What drivers do: longitudinal acceleration, and moving over."""

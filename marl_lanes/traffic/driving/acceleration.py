@@ -17,7 +17,7 @@ from marl_lanes.traffic.road.neighbors import find_rank
 _ENGAGED = int(Phase.ENGAGED)
 
 _SPARE_SLOTS = 4
-"""Vehicle slots beyond the number of vehicles that are prefetched."""
+"""Slots that are prefetched in addition to the number of vehicles."""
 
 
 @internal
@@ -31,9 +31,9 @@ def car_following(
     arcs: Any,
     constants: Any,
 ) -> float:
-    """What car following would do with the agent's vehicle in the present state [m/s^2].
+    """Acceleration of the agent's vehicle by car following, in the present state [m/s^2].
 
-    Its leaders are the agent's neighbors; the disposition of its driver does not enter.
+    The leaders are the agent's neighbors; the driver's disposition has no effect.
     """
     car = vehicles[agent.vehicle]
     profile = profiles[car.profile]
@@ -76,10 +76,10 @@ def accelerate(
 ) -> None:
     """Set every vehicle's acceleration, not below the physical braking limit.
 
-    Car following, unless an agent's second action or an external follower's action stands for it.
+    It is that of car following, or an agent's second action, or an external follower's action.
 
-    One sweep from the front of the road to its rear, in which each lane remembers the vehicle last
-    seen in it: the leader of the next one. Meanwhile the vehicles of the road ``after`` are
+    One sweep goes from the front of the road to its rear. Each lane stores the last vehicle seen in
+    it: the leader of the next one. In the same loop the vehicles of the road ``after`` are
     prefetched from ``every_vehicle``, (E, V).
     """
     for lane in range(lanes.shape[0]):
@@ -94,7 +94,7 @@ def accelerate(
         lane = car.lane_low
         is_alone = lane == car.lane_high and car.changer == NONE and car.agent == NONE
         if is_alone and car.moving_over == 0:
-            # Most vehicles: nothing else can hold for them.
+            # Most vehicles: they only follow the leader in their lane.
             acceleration = drive_alone(car, profile, lanes[lane].nearest, vehicles, constants)
             if arcs.shape[0] > 0:
                 allowed = comfortable_in_curves(car, profile, arcs, constants)
@@ -144,7 +144,7 @@ def accelerate(
                     constants,
                 )
         car.acceleration = max(acceleration, -constants.max_braking)
-        # A body is narrower than a lane, but it can lie across the road.
+        # A body overlaps one or two lanes, or more if it is turned across the road.
         for lane in range(car.lane_low, car.lane_high + 1):
             lanes[lane].nearest = slot
         if car.agent > NONE:
@@ -152,5 +152,5 @@ def accelerate(
                 lanes[agents[car.agent].target_lane].nearest_engaged = slot
         elif car.moving_over != 0:
             lanes[car.lane].nearest_engaged = slot
-    # Departures take the first free slot: vehicles are in the first slots, with gaps.
+    # Departures take the first free slot, so vehicles are in the first slots, with a few free.
     prefetch(every_vehicle, after, road.num_vehicles * size, _SPARE_SLOTS * size)

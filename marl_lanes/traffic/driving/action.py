@@ -1,4 +1,4 @@
-"""Driving by an action: a changer's second one, or an external follower's."""
+"""Acceleration by an action: a changer's second action, or an external follower's."""
 
 import math
 from typing import Any
@@ -30,10 +30,11 @@ def _guard(
     arcs: Any,
     constants: Any,
 ) -> float:
-    """A limit (1 - (s*/s)^2) with the gap rule's d_min, tau and b_max for s0, T and b [m/s^2].
+    """a_max (1 - (s*/s)^2), with a_max = ``limit``, and the gap rule's d_min, tau, b_max [m/s^2].
 
-    Toward the bodies ahead in the car's lanes and, of an engaged changer, in its target lane; not
-    more than what keeps a curve's speed with braking b_max ahead of it.
+    d_min, tau and b_max replace s0, T and b. The smallest value over the bodies ahead in the car's
+    lanes and, for an engaged changer, in its target lane; at most the acceleration toward the
+    speed in curves, with braking b_max ahead of them.
     """
     scale = 2.0 * math.sqrt(limit * constants.gap_max_braking)
     headway, s0 = constants.gap_time, constants.gap_minimum
@@ -69,9 +70,9 @@ def drive_by_action(
     arcs: Any,
     constants: Any,
 ) -> float:
-    """The action within [-max_braking, max_acceleration], below the guard's limit [m/s^2].
+    """The action, clipped to [-max_braking, max_acceleration] and by the guard [m/s^2].
 
-    It makes the car no faster than ``max_speed``.
+    It does not accelerate the car beyond ``max_speed``.
     """
     acceleration = min(max(action, -max_braking), max_acceleration)
     room = (max_speed - car.speed) / constants.time_step

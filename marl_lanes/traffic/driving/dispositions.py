@@ -1,12 +1,13 @@
-"""What a driver does by itself: the leaders in its lanes, and its disposition.
+"""Car following by disposition: the leaders of a driver, and its reaction to a changer.
 
-cooperative: takes the engaged changer as its leader from engagement on, with a longer headway and
-gentle braking while the changer's body is not yet in its lane; or leaves it the lane (yielding.py).
-neutral: plain car following; the changer counts once its body overlaps the lane. adversarial: until
-the body is in its lane it drives for a higher speed, with more acceleration and a shorter headway,
-as if the changer were not there; then it follows the car-following law, as hard as it must brake.
-external: while it is paired, its policy's acceleration, within bounds (action.py); otherwise
-neutral.
+cooperative: also follows the engaged changer, with a longer time headway; it brakes only gently for
+it until the changer's body is in its lane. Or it moves over (yielding.py).
+neutral: plain car following; the changer is a leader once its body overlaps the lane.
+adversarial: until the changer's body is in its lane, it ignores the changer, and has a higher
+desired speed, more acceleration and a shorter time headway. Then plain car following, which may
+brake hard.
+external: while it is paired, the acceleration of its policy, within bounds (action.py); otherwise
+like neutral.
 """
 
 import math
@@ -28,7 +29,7 @@ _ENGAGED = int(Phase.ENGAGED)
 
 @internal
 def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
-    """Plain car following behind one leader, or none [m/s^2]."""
+    """Plain car following behind one leader, or without a leader [m/s^2]."""
     if front > NONE:
         return follow_plainly(car, vehicles[front], profile, constants)
     free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
@@ -37,14 +38,14 @@ def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: An
 
 @internal
 def comfortable_in_curves(car: Any, profile: Any, arcs: Any, constants: Any) -> float:
-    """What the curves ahead leave to the driver, inf without one [m/s^2]."""
+    """The largest comfortable acceleration because of curves; inf without curves [m/s^2]."""
     lateral, braking = profile.comfortable_lateral_acceleration, profile.comfortable_braking
     return curve_acceleration(car, lateral, braking, arcs, constants)
 
 
 @internal
 def yield_to(car: Any, profile: Any, changer: Any, constants: Any) -> float:
-    """Car following of a cooperative driver behind its changer, with the longer headway [m/s^2]."""
+    """Car following of a cooperative driver behind its changer, with longer headway [m/s^2]."""
     headway, scale = constants.cooperative_time_headway, profile.braking_scale
     free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
     limit = profile.max_acceleration
@@ -55,9 +56,9 @@ def yield_to(car: Any, profile: Any, changer: Any, constants: Any) -> float:
 def _toward_lane(
     car: Any, profile: Any, desired_speed: float, lane: Any, vehicles: Any, constants: Any
 ) -> float:
-    """The smallest acceleration toward who is ahead in the lane, or on the way to it [m/s^2].
+    """The smallest acceleration toward the leaders in the lane and moving to it [m/s^2].
 
-    By the driver's own profile, whatever its disposition makes of its own lane; inf without one.
+    With the parameters of the driver's profile, for every disposition; inf without a leader.
     """
     headway, scale = profile.time_headway, profile.braking_scale
     free_road = free_road_term(car.speed, desired_speed, profile.exponent)
@@ -83,7 +84,7 @@ def drive_among(
     profiles: Any,
     constants: Any,
 ) -> float:
-    """The smallest acceleration toward the leaders in several lanes, by disposition [m/s^2]."""
+    """The smallest acceleration toward the leaders in all lanes, by disposition [m/s^2]."""
     profile = profiles[car.profile]
     headway, scale = profile.time_headway, profile.braking_scale
     limit, desired_speed = profile.max_acceleration, car.desired_speed
@@ -123,7 +124,7 @@ def drive_among(
     elif car.moving_over != 0:
         beyond = _toward_lane(car, profile, own_speed, lanes[car.lane], vehicles, constants)
         acceleration = min(acceleration, beyond)
-        # It leaves the lane to the changer: no need to brake for who is not there yet.
+        # It makes room for a changer to its old lane, so it no longer brakes for that one.
         has_changer = has_changer and agents[vehicles[car.changer].agent].target_lane == car.lane
     if has_changer and car.disposition == _COOPERATIVE:
         yielding = yield_to(car, profile, vehicles[car.changer], constants)

@@ -1,10 +1,10 @@
-"""A waiting driver seeks a gap in the target lane: which one, and how it gets there.
+"""A waiting driver seeks a gap in the target lane: choice of the gap, and approach to it.
 
-A gap between two successive vehicles of the target lane has a pace: the speed of the one ahead, or
-of a faster one behind for who comes from behind, but no more than the driver may go. It holds a
-window: the positions in which the driver, at that pace, would be accepted by the gap rule. Three
-gaps are compared: the one beside, and the nearest ahead and behind, within sensor range, that have
-a window. That whose window is reached soonest is sought.
+A gap is between two successive vehicles of the target lane. Its pace is the speed of its front
+vehicle, or of a faster rear vehicle if the driver comes from behind; at most the driver's top speed
+for a gap. Its window is the range of positions at which the gap rule accepts the driver at this
+pace. Three gaps are compared: the one beside the driver, and the nearest ones ahead and behind,
+within sensor range, that have a window. The driver seeks the one whose window it reaches soonest.
 """
 
 import math
@@ -20,22 +20,22 @@ _WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
 
 _APPROACH_TIME = 5.0
-"""[s] The distance to the aim over this time is the speed relative to the gap."""
+"""[s] Distance to the aim divided by the wanted speed relative to the gap."""
 _RESPONSE_TIME = 1.0
-"""[s] In which the speed is corrected."""
+"""[s] Speed error divided by the acceleration."""
 _SLOWEST = 0.5
-"""[1] Share of the gap's pace below which nobody falls back to reach it."""
+"""[1] Lowest wanted speed while falling back to a gap, as a share of its pace."""
 _INSET = 3.0
-"""[m] How far inside the window the aim lies, so that its edge is crossed."""
+"""[m] Distance of the aim from the window's edges, so that the driver crosses the edge."""
 
 
 @internal
 def needed_gap(
     speed: float, closing: float, desired_speed: float, profile: Any, constants: Any
 ) -> float:
-    """The smallest gap that the rule accepts of a driver behind at ``speed`` [m]; inf if none is.
+    """The smallest gap that the gap rule accepts for a rear driver at ``speed``, or inf [m].
 
-    Under the ACC model the standard IDM's, which is no smaller.
+    For the ACC model that of the standard IDM, which is not smaller.
     """
     if constants.is_gap_kinematic:
         closing = max(0.0, closing)
@@ -60,11 +60,14 @@ def travel_time(distance: float, speed: float, limit: float, top: float) -> floa
     """Least time to move ``distance`` and to stop there, with bounded acceleration and speed [s].
 
     Args:
-        distance: either sign [m].
-        speed: at the start, either sign [m/s].
-        limit: of the acceleration, either way [m/s^2], > 0.
-        top: of the speed in the direction of the way that is left [m/s]; inf where that way cannot
-            be made.
+        distance: of either sign [m].
+        speed: at the start, of either sign [m/s].
+        limit: of |acceleration| [m/s^2], > 0.
+        top: largest speed in the direction of the distance that would remain after braking to a
+            stop [m/s].
+
+    Returns:
+        The time; inf if a distance remains and ``top`` is not positive.
     """
     if distance < speed * abs(speed) / (2.0 * limit):
         distance, speed = -distance, -speed
@@ -73,7 +76,7 @@ def travel_time(distance: float, speed: float, limit: float, top: float) -> floa
         return (2.0 * peak - speed) / limit
     if top <= 0.0:
         return math.inf
-    # Up to the top speed, on at it, and down from it.
+    # Accelerate to the top speed, keep it, brake.
     ramps = (top * top - 0.5 * speed * speed) / limit
     return (2.0 * top - speed) / limit + (distance - ramps) / top
 
@@ -89,7 +92,7 @@ def _window(
     profiles: Any,
     constants: Any,
 ) -> tuple[float, float]:
-    """Ways from the car to the rear and to the front edge of the window, -inf, inf if open [m]."""
+    """Distances from the car to the window's rear and front edges [m]; -inf, inf if open."""
     low, high = -math.inf, math.inf
     if front > NONE:
         ahead = vehicles[order[front]]
@@ -115,16 +118,16 @@ def aim_at(
     profiles: Any,
     constants: Any,
 ) -> tuple[float, float, float]:
-    """Pace [m/s], way to the window and way to the aim in it [m], of the gap between two ranks.
+    """Pace of the gap between two ranks [m/s], distances to its window and to the aim in it [m].
 
-    The first way is inf where the gap has no window; the aim is then between its crossed edges.
+    Without a window the first distance is inf, and the aim is midway between the crossed edges.
     """
     top_speed = constants.gap_speed_factor * car.desired_speed
     ahead = front if front > NONE else rear
     pace = min(vehicles[order[ahead]].speed, top_speed)
     low, high = _window(car, pace, front, rear, order, vehicles, profiles, constants)
     if low > 0.0 and rear > NONE:
-        # Who comes from behind must keep up with the one behind the gap.
+        # A driver that comes from behind must keep up with the gap's rear vehicle.
         faster = min(vehicles[order[rear]].speed, top_speed)
         if faster > pace:
             pace = faster
@@ -139,10 +142,9 @@ def aim_at(
 def _time_to(
     way: float, pace: float, car: Any, own: int, order: Any, vehicles: Any, profile: Any, c: Any
 ) -> float:
-    """Time to the window [s]; inf where it cannot be reached.
+    """Time to the window [s]; inf if it cannot be reached.
 
-    That is where the driver is too slow for it, or where its own leader, at its present speed,
-    would be in the way.
+    The driver may be too slow for it, or its own leader, at its present speed, may be in the way.
     """
     if way == math.inf:
         return way
@@ -158,7 +160,7 @@ def _time_to(
 
 @internal
 def track(aim: float, pace: float, car: Any, profile: Any) -> float:
-    """max(-b, (pace + max(aim/5 s, -pace/2) - v)/1 s): toward an aim that moves [m/s^2]."""
+    """max(-b, (pace + max(aim/5 s, -pace/2) - v)/1 s): toward a moving aim [m/s^2]."""
     wanted = pace + max(aim / _APPROACH_TIME, -(1.0 - _SLOWEST) * pace)
     return float(max((wanted - car.speed) / _RESPONSE_TIME, -profile.comfortable_braking))
 
@@ -175,9 +177,9 @@ def seek_gap(
     profiles: Any,
     constants: Any,
 ) -> float:
-    """What a waiting driver wants to do for a gap in ``lane`` [m/s^2]; inf where it finds none.
+    """Acceleration of a waiting driver toward a gap in ``lane`` [m/s^2]; inf if it finds none.
 
-    It is for the caller to bound it by what the driver's own leader allows.
+    The caller must limit it by car following behind the driver's own leader.
     """
     profile = profiles[car.profile]
     own = neighbor_rank(rank, car.lane, -1, order, count, vehicles, agents)
@@ -221,7 +223,7 @@ def hold_gap(
     profiles: Any,
     constants: Any,
 ) -> float:
-    """What keeps a driver in the gap of ``lane`` beside it [m/s^2]; inf where nobody is there."""
+    """Acceleration that keeps a driver in the gap beside it [m/s^2]; inf in an empty ``lane``."""
     front = neighbor_rank(rank, lane, -1, order, count, vehicles, agents)
     rear = neighbor_rank(rank, lane, 1, order, count, vehicles, agents)
     if front == NONE and rear == NONE:
@@ -242,10 +244,11 @@ def seek_or_hold(
     profiles: Any,
     constants: Any,
 ) -> tuple[float, float]:
-    """What a driver with a live command does for its gap: two bounds, inf and -inf where none.
+    """Two bounds of the acceleration of a driver with a live command, for its gap [m/s^2].
 
-    The acceleration of a waiting one is at most the first; that of an engaged one toward its target
-    lane's leader, before its body is in that lane, at least the second [m/s^2].
+    The first is an upper bound while it waits, otherwise inf. The second is a lower bound of its
+    acceleration toward the target lane's leader while it is engaged and its body is not in that
+    lane, otherwise -inf.
     """
     lane = agent.target_lane
     if agent.phase == _WAITING:
@@ -261,8 +264,8 @@ def seek_or_hold(
 def desired_speed_of(car: Any, agent: Any, seeking: float, constants: Any) -> float:
     """v0 of a vehicle with a live command [m/s].
 
-    More where it seeks a gap. A speed gained so is kept until the body is in the target lane: else
-    the gap that it accepted would close.
+    It is higher while the vehicle seeks a gap. The vehicle keeps a speed gained in this way until
+    its body is in the target lane; otherwise the gap that it accepted would close.
     """
     top_speed = constants.gap_speed_factor * car.desired_speed
     if agent.phase == _WAITING and seeking < math.inf:

@@ -1,8 +1,8 @@
-"""Yielding by moving over: a cooperative follower leaves the changer its lane.
+"""Yielding by moving over: a cooperative follower leaves its lane to make room for a changer.
 
-It keeps the lane beyond instead, and counts as being in that lane from the decision on, as an
-engaged changer does. The move ends where the follower has settled there; it is taken back where the
-gap is lost before the body has reached the marking.
+It moves to the lane beyond, and counts as being in that lane from the decision on, like an engaged
+changer. The move ends once the follower has settled there. It is taken back if the gap becomes
+unsafe before the body has reached the marking.
 """
 
 from typing import Any
@@ -17,12 +17,12 @@ from marl_lanes.traffic.road.neighbors import neighbor_in_lane
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
 _MIN_SPEED = 5.0
-"""[m/s] Who is slower would lie across two lanes for long."""
+"""[m/s] A slower vehicle would overlap two lanes for a long time."""
 
 
 @internal
 def _is_settled(car: Any, arcs: Any, constants: Any) -> bool:
-    """Whether the body is in the lane that the car keeps, within the completion criterion."""
+    """Whether the body is in the lane that the car keeps, and the completion criterion holds."""
     deviation = lane_centre(car.lane, constants.lane_width) - car.lateral_position
     turning = car.yaw_rate - road_turn_rate(car, arcs)
     is_inside = is_wholly_in(car)
@@ -43,7 +43,7 @@ def _is_lane_free(
 ) -> bool:
     """Whether the gap rule accepts the gaps to the vehicles ahead and behind in the lane.
 
-    ``braking`` is its b_safe [m/s^2].
+    ``braking`` is b_safe of the rule [m/s^2].
     """
     car = vehicles[order[rank]]
     leader = neighbor_in_lane(rank, lane, -1, order, count, vehicles, agents)
@@ -64,7 +64,7 @@ def _has_reason(
     profiles: Any,
     constants: Any,
 ) -> bool:
-    """Whether the driver would brake for its changer, and less in the lane beyond."""
+    """Whether the driver would brake for its changer, and harder than in the lane beyond."""
     car = vehicles[order[rank]]
     profile = profiles[car.profile]
     yielding = yield_to(car, profile, vehicles[car.changer], constants)
@@ -77,9 +77,10 @@ def _has_reason(
 
 @internal
 def _direction(car: Any, vehicles: Any, agents: Any, constants: Any) -> int:
-    """+1 or -1 where the driver has a lane beyond its own, away from its changer; else 0.
+    """Direction to the lane beyond the driver's own, away from its changer: +1 or -1, or 0.
 
-    The changer is on its way to the driver's lane and its body is not there yet.
+    0 if there is no such lane, if the changer does not move to the driver's lane, or if its body is
+    there already.
     """
     changer = vehicles[car.changer]
     agent = agents[changer.agent]
@@ -103,8 +104,8 @@ def move_over(
 ) -> None:
     """Begin, take back and end moves, from the front of the road to its rear.
 
-    One after the other, so that a gap taken by one is taken for the next. Cooperative drivers
-    without a live command begin, at 5 m/s or faster and settled in their lane.
+    In this order, so that a gap taken by one vehicle is taken for the next. A move is begun only by
+    cooperative drivers without a live command, at 5 m/s or faster and settled in their lane.
     """
     count = road.num_vehicles
     safe = constants.gap_safe_braking

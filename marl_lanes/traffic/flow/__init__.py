@@ -1,1 +1,1 @@
-"""Who enters the road, and who leaves it."""
+"""Vehicles that enter the road, and vehicles that leave it."""

@@ -1,4 +1,4 @@
-"""Two bodies overlapping: detection, the record, and the removal from the road."""
+"""Collisions: detection, records, and the removal of vehicles from the road."""
 
 import math
 from typing import Any
@@ -18,7 +18,7 @@ _SIDE = int(CollisionKind.SIDE)
 
 @internal
 def _is_separated(ahead: float, across: float, yaw: float, other: float, constants: Any) -> bool:
-    """Whether an axis of the rectangle at ``yaw`` separates it from the one at ``other``."""
+    """Whether an axis of the rectangle at ``yaw`` separates it from the one at yaw ``other``."""
     length, width = 0.5 * constants.vehicle_length, 0.5 * constants.vehicle_width
     cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
     along = abs(ahead * cos_yaw + across * sin_yaw)
@@ -53,7 +53,7 @@ def _record(road: Any, rear: Any, front: Any, agents: Any, record: Any, constant
     record.front_id = front.id
     record.rear_command = NONE if rear.agent == NONE else agents[rear.agent].command
     record.front_command = NONE if front.agent == NONE else agents[front.agent].command
-    # Side by side a step ago: the contact came across the road, not along it.
+    # They were side by side a step ago, so the contact is lateral.
     record.kind = _SIDE if abs(gap_before) < constants.vehicle_length else _REAR_END
     record.position = rear.position
     record.closing_speed = closing
@@ -91,7 +91,7 @@ def detect_collisions(
     """Record every overlapping pair and mark both vehicles.
 
     Returns:
-        Whether there is one.
+        Whether there is such a pair.
     """
     num_before = road.num_collisions
     length, width = constants.vehicle_length, constants.vehicle_width
@@ -107,7 +107,7 @@ def detect_collisions(
 
 @internal
 def remove_vehicles(road: Any, vehicles: Any, order: Any) -> None:
-    """Take the marked vehicles off the road, count them, and close the order."""
+    """Remove the marked vehicles from the road and from the order, and count them."""
     kept = 0
     for rank in range(road.num_vehicles):
         slot = order[rank]
@@ -130,9 +130,9 @@ def remove_vehicles(road: Any, vehicles: Any, order: Any) -> None:
 
 @internal
 def free_slots(road: Any, vehicles: Any) -> None:
-    """Let departures have the slots of the vehicles removed in the step before.
+    """Free the slots of the vehicles removed in the step before, for departures.
 
-    Until then their records stay readable, for who looks at how a command ended.
+    Until then their records can be read, for example to see how a command ended.
     """
     if road.num_removed > 0:
         for slot in range(vehicles.shape[0]):

@@ -16,7 +16,7 @@ _STAYS = int(Fate.STAYS)
 
 @internal
 def schedule(road: Any, lane_record: Any, now: float, profiles: Any, constants: Any) -> None:
-    """Draw when the lane's next vehicle departs, how fast, and by whom it is driven."""
+    """Draw time, initial speed and driver profile of the lane's next departure."""
     wait = uniform(road, constants.interval_low, constants.interval_high)
     lane_record.next_departure = now + wait
     lane_record.next_speed = uniform(
@@ -41,7 +41,7 @@ def has_room(front: Any, entering: Any, profile: Any, constants: Any) -> bool:
 
 @internal
 def _place(car: Any, lane: int, lane_record: Any, profiles: Any, arcs: Any, constants: Any) -> None:
-    """Put a vehicle at the lane's beginning."""
+    """Put a vehicle at the beginning of the lane."""
     car.position = 0.0
     car.lateral_position = lane_centre(lane, constants.lane_width)
     car.speed = lane_record.next_speed
@@ -72,7 +72,7 @@ def depart(
     dispositions: Any,
     arcs: Any,
 ) -> None:
-    """Let the vehicles whose time has come enter, where there is room; the others wait."""
+    """Let the vehicles that are due enter if there is room; the others wait."""
     now = road.step * constants.time_step
     for lane in range(lanes.shape[0]):
         num_taken = road.num_vehicles + road.num_removed
@@ -99,7 +99,7 @@ def depart(
 
 @internal
 def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: Any) -> None:
-    """An empty road at the beginning of its warm-up; the random numbers go on."""
+    """Empty the road and set it to the beginning of its warm-up; the random numbers continue."""
     for slot in range(vehicles.shape[0]):
         vehicles[slot].id = NONE
         vehicles[slot].agent = NONE
@@ -114,5 +114,5 @@ def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: A
     now = road.step * constants.time_step
     for lane in range(lanes.shape[0]):
         schedule(road, lanes[lane], now, profiles, constants)
-        # Roads begin at a random moment between two departures.
+        # A road begins at a random time between two departures.
         lanes[lane].next_departure = now + uniform(road, 0.0, constants.interval_high)

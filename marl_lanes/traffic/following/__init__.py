@@ -1,1 +1,1 @@
-"""The law of one vehicle behind another, and its speed in curves."""
+"""Car following behind one leader, and the speed in curves."""

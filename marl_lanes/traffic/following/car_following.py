@@ -1,8 +1,8 @@
 """The scenario's car-following law between two vehicles: Eq. 9, the standard IDM, the ACC model.
 
-Under the ACC model the leader's acceleration counts. Within the sweep (``followers.accelerate``)
-that is the one of the same step, because leaders come first; the gap rule and the observation read
-the state after the move: the one of the last step.
+The ACC model uses the leader's acceleration. In the sweep (``driving/acceleration.py``) it is that
+of the same step, because leaders come first. The gap rule and the observation are computed after
+the move, and use that of the last step.
 """
 
 from typing import Any
@@ -32,14 +32,14 @@ def follow(
     """Acceleration behind one leader [m/s^2].
 
     Args:
-        car: who follows.
+        car: the following vehicle.
         front: the leader.
         free_road: ``free_road_term`` [1].
         limit: a_m [m/s^2].
         headway: T [s].
         scale: 2 sqrt(a_m b) [m/s^2].
-        profile: of the driver: s0 and b.
-        constants: of the scenario: which law.
+        profile: the driver's profile, for s0 and b.
+        constants: the scenario's constants, for the law.
     """
     gap = bumper_gap(car, front, constants)
     closing = car.speed - front.speed
@@ -51,7 +51,7 @@ def follow(
         )
         braking = profile.comfortable_braking
         acceleration = acc_acceleration(acceleration, heuristic, braking, constants.coolness)
-        # A leader that speeds up drags nobody beyond what the driver would do on a free road.
+        # Behind an accelerating leader the driver accelerates at most as on a free road.
         acceleration = min(acceleration, limit * (1.0 - free_road))
     return acceleration
 

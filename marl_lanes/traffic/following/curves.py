@@ -1,4 +1,4 @@
-"""How fast a driver takes the curves that lie ahead."""
+"""The speed of drivers in curves and before them."""
 
 import math
 from typing import Any
@@ -7,10 +7,10 @@ from marl_lanes.traffic.machine.compiled import compiled, internal
 from marl_lanes.traffic.road.geometry import arc_curvature
 
 _PREVIEW = 1.0
-"""[s] Braking for a curve begins this long before the latest moment, to begin gently."""
+"""[s] Braking for a curve begins this much earlier than necessary, so it begins gently."""
 
 _RESPONSE = 0.5
-"""[s] The speed approaches the allowed one with this time constant, at most half the preview."""
+"""[s] Time constant toward the allowed speed; it must be at most half the preview."""
 
 
 @compiled
@@ -22,18 +22,18 @@ def curve_speed(
     braking: float,
     arcs: Any,
 ) -> float:
-    """The highest speed from which every curve ahead can be taken, inf without one [m/s].
+    """The highest speed at which all curves ahead can be taken; inf without a curve [m/s].
 
     min over the positions p ahead of sqrt(a_lat/|k(p)| + 2 b max(0, p - s - preview)), where
-    k = c/(1 - c d) is the curvature of the path at the present lateral position d. The minimum of
-    an arc lies where its curvature is largest within the preview or, beyond that, in the clothoid
-    at its beginning, of length L and curvature x c/L after x: there the sum is least at
-    x = sqrt(a_lat L/(2 b |c|)), if x < L, or at the clothoid's end.
+    k = c/(1 - c d) is the curvature of the path at the present lateral position d. For each
+    arc the minimum is at the largest curvature within the preview or, beyond the preview, in its
+    first clothoid, of length L, with the curvature x c/L at the distance x from its start.
+    There the sum is least at x = sqrt(a_lat L/(2 b |c|)) if x < L, otherwise at the clothoid's end.
 
     Args:
         position: s [m].
         lateral_position: d [m].
-        preview: length of road that must be taken without further braking [m].
+        preview: length of road ahead before braking begins [m].
         lateral_acceleration: a_lat, the largest in a curve [m/s^2].
         braking: b, ahead of a curve [m/s^2].
         arcs: (K,) ARC, ascending.
@@ -50,7 +50,7 @@ def curve_speed(
         place = min(max(far, arc.start + sharpest), arc.start + arc.transition)
         place = max(place, position)
         curvature = arc_curvature(arc, place)
-        # A road that hardly bends, at an arc's outermost end, bounds no speed.
+        # The curvature is 0 at the ends of an arc: it does not bound the speed.
         if curvature != 0.0:
             radius = abs(1.0 / curvature - lateral_position)
             room = 2.0 * braking * max(0.0, place - far)
@@ -62,12 +62,12 @@ def curve_speed(
 def _allowed_speed(
     car: Any, lateral_acceleration: float, braking: float, arcs: Any, constants: Any
 ) -> float:
-    """``curve_speed`` where the car is, with the preview at its speed [m/s].
+    """``curve_speed`` at the car's position, with the preview at its speed [m/s].
 
     Args:
         car: the vehicle.
         lateral_acceleration: a_lat, the largest in a curve [m/s^2].
-        braking: b, ahead of a curve [m/s^2]; the physical limit where that is lower.
+        braking: b, ahead of a curve [m/s^2]; at most the physical limit is used.
         arcs: (K,) ARC, ascending.
         constants: of the scenario.
     """
@@ -87,7 +87,7 @@ def _allowed_speed(
 def curve_acceleration(
     car: Any, lateral_acceleration: float, braking: float, arcs: Any, constants: Any
 ) -> float:
-    """Toward the allowed speed within the response time; inf on a straight road [m/s^2].
+    """(v_allowed - v)/0.5 s, toward the allowed speed; inf on a straight road [m/s^2].
 
     The arguments are those of ``_allowed_speed``.
     """
@@ -99,6 +99,6 @@ def curve_acceleration(
 
 @internal
 def entry_speed(car: Any, profile: Any, arcs: Any, constants: Any) -> float:
-    """The speed with which a vehicle enters: its own, or what the curves ahead allow [m/s]."""
+    """The speed of an entering vehicle: its own, or that allowed by the curves ahead [m/s]."""
     lateral, braking = profile.comfortable_lateral_acceleration, profile.comfortable_braking
     return float(min(car.speed, _allowed_speed(car, lateral, braking, arcs, constants)))

@@ -5,12 +5,12 @@ import math
 from marl_lanes.traffic.machine.compiled import compiled
 
 _CONTACT_GAP = 0.01
-"""[m] Gaps are not taken as smaller, so that bumper contact gives a finite, huge term."""
+"""[m] Lower bound of the gap, so that the term at bumper contact is large but finite."""
 
 
 @compiled
 def free_road_term(speed: float, desired_speed: float, exponent: float) -> float:
-    """(v/v0)^delta: what holds a driver back on a free road.
+    """(v/v0)^delta, the free-road term.
 
     Args:
         speed: v [m/s].
@@ -37,8 +37,8 @@ def interaction_term(
 ) -> float:
     """(s*/s)^2 with s* = s0 + max(0, v T + v dv/(2 sqrt(a_m b))).
 
-    The paper prints the gap s under the root, which is dimensionally wrong; Treiber's form is
-    meant. The maximum keeps a leader that pulls away fast from looking like an obstacle.
+    The paper prints the gap s under the root, which is dimensionally wrong; this is Treiber's
+    form. Without the maximum a leader that pulls away fast would have the effect of an obstacle.
 
     Args:
         speed: v [m/s].
@@ -82,10 +82,10 @@ def constant_acceleration_heuristic(
     front_acceleration: float,
     max_acceleration: float,
 ) -> float:
-    """The braking that avoids a crash if the leader keeps its acceleration, a_CAH [m/s^2].
+    """a_CAH, which just avoids a collision if the leader keeps its acceleration [m/s^2].
 
-    v^2 a_l/(v_l^2 - 2 s a_l) where v_l (v - v_l) <= -2 s a_l: both stand when they meet; elsewhere
-    a_l - max(0, v - v_l)^2/(2 s), with a_l = min(the leader's acceleration, a_m).
+    v^2 a_l/(v_l^2 - 2 s a_l) if v_l (v - v_l) <= -2 s a_l, where both come to a standstill;
+    otherwise a_l - max(0, v - v_l)^2/(2 s). a_l = min(the leader's acceleration, a_m).
 
     Args:
         speed: v [m/s].
@@ -100,7 +100,7 @@ def constant_acceleration_heuristic(
     front = min(front_acceleration, max_acceleration)
     closing = speed - front_speed
     reach = front_speed * front_speed - 2.0 * s * front
-    # reach is 0 behind a leader that stands and stays: the other branch is the answer there.
+    # reach is 0 behind a leader that remains at a standstill: the other formula applies there.
     if front_speed * closing <= -2.0 * s * front and reach > 0.0:
         return speed * speed * front / reach
     closing = max(0.0, closing)
@@ -111,7 +111,7 @@ def constant_acceleration_heuristic(
 def acc_acceleration(
     acceleration: float, heuristic: float, comfortable_braking: float, coolness: float
 ) -> float:
-    """a_IDM where it is >= a_CAH, else (1 - c) a_IDM + c (a_CAH + b tanh((a_IDM - a_CAH)/b)).
+    """a_IDM if a_IDM >= a_CAH, else (1 - c) a_IDM + c (a_CAH + b tanh((a_IDM - a_CAH)/b)).
 
     Args:
         acceleration: a_IDM, in the standard form [m/s^2].

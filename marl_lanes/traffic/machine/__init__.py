@@ -1,1 +1,1 @@
-"""What kernels are made of: how they are compiled, their memory and random numbers."""
+"""The basis of all kernels: compilation, memory and random numbers."""

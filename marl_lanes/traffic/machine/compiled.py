@@ -1,4 +1,4 @@
-"""One way of compiling for every kernel."""
+"""How all kernels are compiled."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
@@ -20,11 +20,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Compile on first call, kept on disk where that is possible; IEEE semantics, no GIL.
+    """Compile on the first call, cache on disk if possible; IEEE semantics, no GIL.
 
-    Kernels allocate nothing and own no array, so they count no references: that would take half of
-    their time. Division by zero gives inf and nan as in numpy. Without the GIL several threads
-    advance disjoint roads; fast-math stays off, so the bytes do not depend on how a loop was
+    Kernels allocate nothing and own no array, so reference counting is off: it would take half of
+    their time. Division by zero gives inf or nan as in numpy. Without the GIL several threads can
+    advance disjoint roads. Fast-math is off, so the bytes do not depend on how a loop was
     vectorised.
     """
     kernel = _make(Kernel, function)
@@ -34,13 +34,13 @@ def compiled(function: Function) -> Function:
 
 
 def internal(function: Function) -> Function:
-    """Like ``compiled``, for what only kernels call: without the costly entry from Python.
+    """Like ``compiled``, for functions that only kernels call: without an entry point from Python.
 
-    It is inlined into its callers, which then look into the arrays once and not at every call, and
-    kept on disk with them alone.
+    That entry point is slow to compile. The function is inlined into its callers, which then unpack
+    the arrays once and not at every call, and is cached on disk only as part of them.
 
     Raises:
-        TypeError: when it is called from Python, unless numba's compilation is switched off.
+        TypeError: it is called from Python, and numba's compilation is not switched off.
     """
     return _make(InternalKernel, function, no_cpython_wrapper=True, forceinline=True)
 
@@ -48,8 +48,8 @@ def internal(function: Function) -> Function:
 def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
     """The compiled code of ``kernel`` for arguments of exactly these types.
 
-    Numba looks the types of all arguments up at every call, which takes longer than a time step of
-    a road. Who calls this must never pass others: nothing checks them any more.
+    Numba looks up the types of all arguments at every call, which takes longer than a time step of
+    a road. This code does not check them: never call it with arguments of other types.
     """
     if not isinstance(kernel, CPUDispatcher):
         return kernel  # numba's compilation is switched off
@@ -60,16 +60,16 @@ def entry_point(kernel: Function, arguments: Sequence[Any]) -> Function:
 
 
 def on_columns(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """The kernel's own source, for whole columns of a table at once, by numpy.
+    """The kernel's Python function, for whole columns of a table at once, with numpy.
 
-    It must have no branch and call no other kernel. A table's fields are attributes in
-    ``table.view(numpy.recarray)``.
+    It must have no branch and call no other kernel. Pass a table as ``table.view(numpy.recarray)``,
+    whose fields are attributes.
     """
     return cast("Callable[..., Any]", getattr(kernel, "py_func", kernel))
 
 
 def _type_of(argument: Any) -> Any:
-    """Numba's type; of an array, which must be contiguous, without the import of ``numpy.ma``."""
+    """Numba's type, without importing ``numpy.ma`` for an array; arrays must be contiguous."""
     if not isinstance(argument, np.ndarray):
         return cast("Any", numba).typeof(argument)
     if not argument.flags.c_contiguous:
@@ -78,7 +78,7 @@ def _type_of(argument: Any) -> Any:
 
 
 def _make(kind: type[CPUDispatcher], function: Function, **options: bool) -> Function:
-    """What ``numba.njit`` makes, of another class."""
+    """Like ``numba.njit``, with a dispatcher of another class."""
     if cast("Any", numba.config).DISABLE_JIT:
         return function
     saving = known_options(no_cfunc_wrapper=True, _nrt=False, **options)

@@ -1,7 +1,7 @@
-"""The one place that uses names which numba does not promise to keep.
+"""The only module that uses private names of numba.
 
-All of it saves time. Each name is looked for when this module is imported: without it the kernels
-are the same, and slower to start or to run.
+They only save time. Each name is looked for when this module is imported. Without it the results of
+the kernels are the same, but they start or run more slowly.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ _dumps: Any = serialize.dumps
 
 
 def hash_sources(folder: Path) -> str:
-    """A digest of every source file below a folder."""
+    """One digest of all source files below a folder."""
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):
         digest.update(path.read_bytes())
@@ -32,12 +32,12 @@ def hash_sources(folder: Path) -> str:
 
 
 SOURCES = hash_sources(Path(__file__).parents[1])
-"""Digest of the simulation."""
+"""Digest of all sources of the simulation."""
 
-# The classes of numba's cache: one for each kernel, and what it writes.
+# The classes of numba's cache: the cache of a kernel, and the content of its files.
 _Cache: Any = getattr(caching, "FunctionCache", object)
 _Content: Any = getattr(caching, "CompileResultCacheImpl", object)
-# Were one of them not there, numba would keep kernels without the digest, and use stale ones.
+# If one of these were missing, numba would cache kernels without the digest, and use stale ones.
 CAN_KEEP = hasattr(_Cache, "_impl_class") and all(
     hasattr(kind, name)
     for kind, names in (
@@ -46,15 +46,15 @@ CAN_KEEP = hasattr(_Cache, "_impl_class") and all(
     )
     for name in names
 )
-"""Whether kernels can be kept on disk."""
+"""Whether kernels can be cached on disk."""
 
 
 class _CheckedContent(_Content):  # type: ignore[misc]
-    """A compiled kernel under two digests: of the sources that it is made of, and of its bytes.
+    """A compiled kernel with two digests: of all sources of the simulation, and of its bytes.
 
-    Numba stamps a kept kernel with its own file alone, yet it holds the code of the kernels that it
-    calls: without the first an edit of one file would leave others stale. What a crash or a full
-    disk left behind may look whole to numba: the second finds it.
+    Numba invalidates a cached kernel only when its own file changes, although the kernel contains
+    the code of the kernels that it calls: the first digest finds changes of the others. Numba may
+    not notice a file that a crash or a full disk has damaged: the second digest does.
     """
 
     def reduce(self, data: Any) -> tuple[str, bytes, bytes]:
@@ -65,27 +65,27 @@ class _CheckedContent(_Content):  # type: ignore[misc]
         sources, digest, content = reduced_data
         if sources != SOURCES or digest != hashlib.sha256(content).digest():
             raise ValueError("stale or damaged")
-        # As safe as numba's own cache, which is pickled, too.
+        # As safe as numba's own cache, which uses pickle, too.
         return super().rebuild(target_context, pickle.loads(content))  # noqa: S301
 
 
 class KernelCache(_Cache):  # type: ignore[misc]
-    """Numba's cache of a kernel on disk, in which whatever cannot be read or written is a miss."""
+    """Numba's cache of a kernel on disk; a file that cannot be read or written is a miss."""
 
     _impl_class = _CheckedContent
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The kept kernel; None where there is none that can be used."""
+        """The cached kernel; None if there is none, or it cannot be used."""
         try:
             return super().load_overload(sig, target_context)
         except Exception:
-            # Damaged bytes raise almost anything. The next save would stumble over them as well.
+            # Damaged bytes can raise almost any error. The next save would fail on them, too.
             with suppress(OSError):
                 self.flush()
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a kernel, where that is possible."""
+        """Cache a kernel if possible."""
         try:
             super().save_overload(sig, data)
         except Exception as error:
@@ -93,10 +93,10 @@ class KernelCache(_Cache):  # type: ignore[misc]
 
 
 class Kernel(CPUDispatcher):
-    """A compiled function, kept on disk where that is possible."""
+    """A compiled function, cached on disk if possible."""
 
     def enable_caching(self) -> None:
-        """Look for a folder that can be written; without one it is compiled in memory."""
+        """Find a writable folder for the cache; without one the kernel is compiled in memory."""
         if not CAN_KEEP:
             _note_loss("this version of numba is not known")
             return
@@ -107,24 +107,25 @@ class Kernel(CPUDispatcher):
 
 
 class InternalKernel(CPUDispatcher):
-    """A kernel without an entry from Python; calling it there would crash the interpreter."""
+    """A kernel without an entry point from Python, where a call would crash the interpreter."""
 
     def __call__(self, *_: Any, **__: Any) -> Any:
-        """Refuse."""
+        """Raise TypeError."""
         raise TypeError(f"{self.py_func.__name__}() can be called by other kernels only")
 
 
 def known_options(**options: bool) -> dict[str, bool]:
-    """Those of the options, which only save time, that numba has."""
+    """The options that this numba has, out of these, which only save time."""
     known = CPUDispatcher.targetdescr.options
     return {name: value for name, value in options.items() if hasattr(known, name)}
 
 
 @contextmanager
 def unused_scipy() -> Iterator[None]:
-    """Numba loads what it can compile without importing SciPy, which takes a fifth of a second.
+    """Let numba load its modules without importing SciPy, which would take 0.2 s.
 
-    It imports it only to see whether linear algebra can be compiled; what compiles some still does.
+    Numba imports SciPy only to check whether it can compile linear algebra. When it compiles linear
+    algebra, it still imports SciPy.
     """
     linear_algebra: Any = import_module("numba.np.linalg")
     ensure_blas = getattr(linear_algebra, "ensure_blas", None)
@@ -145,5 +146,5 @@ def unused_scipy() -> Iterator[None]:
 
 @cache
 def _note_loss(reason: str) -> None:
-    """Say once why every start will take the time to compile."""
+    """Log once why every start will compile the kernels again."""
     _LOG.warning("compiled kernels are not kept on disk: %s", reason)

@@ -1,4 +1,4 @@
-"""Bringing the next road's records into the cache while the present road advances."""
+"""Load the next road's records into the processor's cache while this road advances."""
 
 from typing import Any, cast
 
@@ -10,11 +10,11 @@ from numba.extending import intrinsic
 from marl_lanes.traffic.machine.compiled import internal
 
 _LINE = 64
-"""[bytes] of a cache line."""
+"""[bytes] Size of a cache line."""
 
 
 def _hint(_: Any, array: Any, row: Any, offset: Any) -> Any:  # noqa: ARG001 - numba reads them
-    """The processor's hint that the byte ``offset`` of ``array[row]`` is wanted soon."""
+    """Tell the processor that the byte ``offset`` of ``array[row]`` is needed soon."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         tools = cast("Any", cgutils)
@@ -26,7 +26,7 @@ def _hint(_: Any, array: Any, row: Any, offset: Any) -> Any:  # noqa: ARG001 - n
         flag = ir.IntType(32)
         hint = ir.FunctionType(ir.VoidType(), [base.type, flag, flag, flag])
         function = tools.get_or_insert_function(builder.module, hint, "llvm.prefetch.p0")
-        # To be read, kept in every level of the cache, data.
+        # For reading, into every level of the cache, data and not code.
         flags = [flag(0), flag(3), flag(1)]
         builder.call(function, [builder.gep(base, [byte]), *flags])
         return context.get_dummy_value()
@@ -35,7 +35,7 @@ def _hint(_: Any, array: Any, row: Any, offset: Any) -> Any:  # noqa: ARG001 - n
 
 
 def _nothing(_array: Any, _row: int, _offset: int) -> None:
-    """What there is to do where numba's compilation is switched off."""
+    """Do nothing, if numba's compilation is switched off."""
 
 
 _is_compiled = not cast("Any", numba.config).DISABLE_JIT
@@ -44,10 +44,10 @@ _prefetch_line: Any = intrinsic(_hint) if _is_compiled else _nothing
 
 @internal
 def prefetch(array: Any, row: int, start: int, num_bytes: int) -> None:
-    """Fetch some bytes of ``array[row]``, which need not exist, from ``start`` on.
+    """Prefetch ``num_bytes`` of ``array[row]`` from ``start`` on; the row need not exist.
 
-    It changes nothing but the time that it takes. The processor fetches some ten lines at a time
-    and then waits: few lines here and there cost less than many at once.
+    It changes only the speed. The processor fetches about ten cache lines at a time and then waits,
+    so a few lines at a time cost less than many at once.
     """
     for offset in range(0, num_bytes, _LINE):
         _prefetch_line(array, row, start + offset)

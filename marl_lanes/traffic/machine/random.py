@@ -1,7 +1,7 @@
 """Counter-based random numbers: Philox4x32-10, one stream for each road.
 
-The n-th number of a road is a pure function of (seed, stream, n), so that it depends neither on
-threads nor on how many roads advance together.
+The n-th number of a road is a pure function of (seed, stream, n). So it does not depend on
+threads or on the number of roads.
 
 Source: Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3".
 """
@@ -54,7 +54,7 @@ def philox(counter: np.uint64, stream: np.uint64, key: np.uint64) -> tuple[np.ui
 
 @compiled
 def uniform(road: Any, low: float, high: float) -> float:
-    """The road's next number, uniform in [low, high); low where both are equal."""
+    """The road's next number, uniform in [low, high); low if both are equal."""
     bits, _ = philox(road.random_counter, road.random_stream, road.random_key)
     road.random_counter = road.random_counter + np.uint64(1)
     return low + (high - low) * (float(bits >> _DROP) * _UNIT)
@@ -62,7 +62,7 @@ def uniform(road: Any, low: float, high: float) -> float:
 
 @compiled
 def choice(road: Any, cumulative: Any) -> int:
-    """The road's next index, drawn with the cumulative shares ``cumulative`` (K,), last 1."""
+    """The road's next random index; ``cumulative`` is (K,) cumulative shares, the last is 1."""
     draw = uniform(road, 0.0, 1.0)
     index = 0
     while index < cumulative.shape[0] - 1 and draw >= cumulative[index]:

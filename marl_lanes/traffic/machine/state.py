@@ -1,4 +1,4 @@
-"""The state: every array's name, dtype, unit and meaning, stated once; allocation follows from it.
+"""The state: name, dtype, unit and meaning of every array in one place, and its allocation.
 
 Axes: E environments (roads), V vehicle slots, A agent slots, L lanes, C collision records, F
 features of an agent, G features of a follower, T terms of a role's reward. Follower k belongs to
@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 NONE = -1
-"""No vehicle, no agent: the value of an index that points nowhere.
+"""No vehicle, no agent: the value of an index without a target.
 
-Where an index is used afterwards ``> NONE`` also tells the compiler that it is not negative: it
-leaves out numpy's counting from the end.
+Before an index is used, test it with ``> NONE``: this also tells the compiler that it is not
+negative, so the code for numpy's negative indices is left out.
 """
 
 
 class Phase(IntEnum):
-    """Where an agent's command stands."""
+    """Phase of an agent's command."""
 
     ABSENT = 0
     WAITING = 1
@@ -31,7 +31,7 @@ class Phase(IntEnum):
 
 
 class Outcome(IntEnum):
-    """How a command ended; UNFINISHED while it has not. From MISSED on they truncate."""
+    """How a command ended; UNFINISHED before. MISSED and all after it truncate."""
 
     UNFINISHED = 0
     COMPLETED = 1
@@ -42,7 +42,7 @@ class Outcome(IntEnum):
 
 
 def truncates(outcome: int) -> bool:
-    """Whether that ends an agent by truncation: the road or the horizon ends, and not the task."""
+    """Whether the outcome is a truncation: the road or the time has ended, not the task."""
     return outcome >= _FIRST_TRUNCATING
 
 
@@ -50,7 +50,7 @@ _FIRST_TRUNCATING = int(Outcome.MISSED)
 
 
 class CollisionKind(IntEnum):
-    """How two bodies met."""
+    """How two bodies collided."""
 
     REAR_END = 0
     SIDE = 1
@@ -64,7 +64,7 @@ class Fate(IntEnum):
     """At the road's end."""
     COLLIDES = 2
     STRAYS = 3
-    """Off the road, or across it."""
+    """Over an edge of the road, or with |yaw| of 90 degrees or more."""
 
 
 class Disposition(IntEnum):
@@ -74,11 +74,11 @@ class Disposition(IntEnum):
     NEUTRAL = 1
     ADVERSARIAL = 2
     EXTERNAL = 3
-    """EXTERNAL + i: the i-th of the mix that the simulation does not drive itself."""
+    """EXTERNAL + i: the i-th disposition of the mix that a policy drives."""
 
 
 Table = tuple[tuple[str, str, str, str], ...]
-"""Rows of name, dtype, unit, meaning; dtype ``(T,)f8`` is one value for each term."""
+"""Rows of name, dtype, unit, meaning; the dtype ``(T,)f8`` holds one value for each term."""
 
 VEHICLE: Table = (
     ("position", "f8", "m", "centre, along the road's right edge"),
@@ -95,35 +95,35 @@ VEHICLE: Table = (
         "moving_over",
         "i8",
         "1",
-        "while it yields by moving over: +1 from the right, -1 from the left; else 0",
+        "while it moves over: +1 to the left, -1 to the right; else 0",
     ),
     ("lane", "i4", "lane", "the lane that it keeps"),
     ("lane_low", "i4", "lane", "right-most lane that its body overlaps"),
     ("lane_high", "i4", "lane", "left-most lane that its body overlaps"),
     ("profile", "u4", "1", "row of the driver profiles"),
-    ("disposition", "i4", "1", "Disposition, or beyond EXTERNAL"),
+    ("disposition", "i4", "1", "Disposition, or EXTERNAL + i"),
     ("agent", "i4", "1", "agent slot, -1 where it has no live command"),
-    ("changer", "i4", "1", "vehicle slot of the engaged changer it is the follower of, -1 if none"),
-    ("fate", "i4", "1", "Fate, of the last step"),
+    ("changer", "i4", "1", "vehicle slot of the engaged changer whose follower it is, or -1"),
+    ("fate", "i4", "1", "Fate in the last step"),
 )
 
 AGENT: Table = (
-    ("command", "i8", "1", "serial number of the command in the episode, from 0; -1 before one"),
-    ("num_aborts", "i8", "1", "times that the gap guard turned it back"),
+    ("command", "i8", "1", "serial number of the command in the episode, from 0; -1 at first"),
+    ("num_aborts", "i8", "1", "number of aborts"),
     ("born_step", "i8", "step", "step of the command"),
     ("steering_steps", "i8", "step", "steps that it steered"),
     ("reward", "f8", "1", "of the last step: the sum of the terms"),
     ("episode_reward", "f8", "1", "sum of the rewards since the command"),
-    ("car_following", "f8", "m/s^2", "what car following alone would have done in the last step"),
+    ("car_following", "f8", "m/s^2", "acceleration of car following in the last step"),
     ("terms", "(T,)f8", "1", "of the reward of the last step, TERMS of roles/changer.py"),
     (
         "vehicle",
         "i4",
         "1",
-        "vehicle slot, -1 where the slot is free; readable in the step that ends it",
+        "vehicle slot, -1 if this slot is free; kept in the step that ends the command",
     ),
     ("phase", "i4", "1", "Phase"),
-    ("outcome", "i4", "1", "Outcome, set in the step that ends the command alone"),
+    ("outcome", "i4", "1", "Outcome, set only in the step that ends the command"),
     ("direction", "i4", "1", "+1 to the left, -1 to the right"),
     ("origin_lane", "i4", "lane", "the lane of the command"),
     ("target_lane", "i4", "lane", "the lane to reach"),
@@ -138,28 +138,28 @@ FOLLOWER: Table = (
     ("episode_reward", "f8", "1", "sum of the rewards since the command"),
     ("terms", "(T,)f8", "1", "of the reward of the last step, TERMS of roles/follower.py"),
     ("vehicle", "i4", "1", "vehicle slot of the external driver paired with the changer, or -1"),
-    ("policy", "i4", "1", "which external disposition drives it: code - EXTERNAL; -1 if none"),
+    ("policy", "i4", "1", "index of its external disposition, disposition - EXTERNAL; or -1"),
 )
 
 ROAD: Table = (
     ("random_key", "u8", "1", "seed of the random numbers"),
-    ("random_stream", "u8", "1", "which of the seed's streams: the environment's index"),
+    ("random_stream", "u8", "1", "stream of the random numbers: the road's index"),
     ("random_counter", "u8", "1", "random numbers drawn so far"),
     ("step", "i8", "step", "steps since the warm-up ended; negative before"),
     ("num_vehicles", "i8", "1", "on the road"),
     ("num_entered", "i8", "1", "vehicles that entered since the reset"),
     ("num_left", "i8", "1", "vehicles that left at the road's end, or off the road"),
-    ("num_off_road", "i8", "1", "of those that left: off the road"),
-    ("num_collided", "i8", "1", "vehicles that left by a collision"),
+    ("num_off_road", "i8", "1", "those of num_left that left off the road"),
+    ("num_collided", "i8", "1", "vehicles removed by a collision"),
     ("num_removed", "i8", "1", "vehicles removed in the last step, whose slots are not free yet"),
     ("num_collisions", "i8", "1", "collisions recorded since the reset"),
     ("num_moves_over", "i8", "1", "moves over that followers began since the reset"),
-    ("num_moves_returned", "i8", "1", "of those: taken back before the marking"),
+    ("num_moves_returned", "i8", "1", "those of num_moves_over that were taken back"),
     ("num_commands", "i8", "1", "commands given in this episode"),
     ("num_live", "i8", "1", "agents live now"),
     ("num_ended", "i8", "1", "commands that ended in the last step, whose slots are not free yet"),
     ("is_done", "i8", "1", "1 once the episode is over"),
-    ("is_cut", "i8", "1", "1 once it is over by the horizon, with commands unfinished or ungiven"),
+    ("is_cut", "i8", "1", "1 if the horizon ended it before all commands were given and had ended"),
 )
 
 LANE: Table = (
@@ -170,13 +170,13 @@ LANE: Table = (
         "nearest",
         "i4",
         "1",
-        "of the sweep over the vehicles: slot last seen in the lane, -1 if none",
+        "in the sweep over the vehicles: last slot seen in the lane, -1 if none",
     ),
     ("nearest_engaged", "i4", "1", "the same, of those engaged or moving over toward the lane"),
 )
 
 COLLISION: Table = (
-    ("step", "i8", "step", "when; the record is empty where rear_id is -1"),
+    ("step", "i8", "step", "step of the collision; the record is empty if rear_id is -1"),
     ("rear_id", "i8", "1", "id of the vehicle behind"),
     ("front_id", "i8", "1", "id of the vehicle ahead"),
     ("rear_command", "i8", "1", "command of the vehicle behind, -1 if none was live"),
@@ -187,7 +187,7 @@ COLLISION: Table = (
 )
 
 NUM_COLLISION_RECORDS = 16
-"""C: the newest collisions of a road that are kept; the counters count all."""
+"""C: a road keeps the records of its C newest collisions; the counters count all."""
 
 Records = NDArray[np.void]
 
@@ -196,9 +196,9 @@ def structure(table: Table, *, num_terms: int = 0) -> np.dtype[np.void]:
     """The aligned structured dtype of a table, its fields readable as attributes."""
     kinds = [(name, kind.replace("T", str(num_terms))) for name, kind, _, _ in table]
     fields = np.dtype(kinds, align=True)
-    # Padding would be bytes that no one sets: equal states could differ in them.
+    # Padding bytes are never set, so equal states could differ in them.
     if fields.itemsize != sum(np.dtype(kind).itemsize for _, kind in kinds):
-        raise ValueError("a table's 8-byte fields must come first, and its 4-byte ones be even")
+        raise ValueError("8-byte fields must come first; the number of 4-byte fields must be even")
     # A record dtype gives attribute access in compiled and in interpreted kernels alike.
     return np.dtype((np.record, fields))
 
@@ -218,13 +218,13 @@ class State:
     agents: Records
     """(E, A) AGENT."""
     followers: Records
-    """(E, A) FOLLOWER, of the external drivers alone."""
+    """(E, A) FOLLOWER, only for external drivers."""
     collisions: Records
-    """(E, C) COLLISION, a ring over num_collisions."""
+    """(E, C) COLLISION, a ring buffer indexed by num_collisions."""
     observations: NDArray[np.float32]
-    """(E, A, F) the live agents' features; of an agent that just ended, its last ones."""
+    """(E, A, F) features of the live agents; for an agent that just ended, its last ones."""
     follower_observations: NDArray[np.float32]
-    """(E, A, G) what the drivers behind the live agents in their target lanes see."""
+    """(E, A, G) observations of the live agents' target followers."""
 
     @property
     def arrays(self) -> tuple[NDArray[np.generic], ...]:

@@ -1,4 +1,4 @@
-"""Where things are: the road's curvature, its lanes, and the lanes that a body overlaps."""
+"""Geometry: the road's curvature, its lanes, and the lanes that a body overlaps."""
 
 import math
 from typing import Any
@@ -13,7 +13,7 @@ FloatArray = NDArray[np.float64]
 
 @compiled
 def arc_curvature(arc: Any, position: float) -> float:
-    """The curvature of an arc within it [1/m], linear in its clothoids; positive bends left."""
+    """An arc's curvature at a place in it [1/m], linear in its clothoids; positive bends left."""
     to_end = min(position - arc.start, arc.end - position)
     if to_end >= arc.transition:
         return float(arc.curvature)
@@ -31,7 +31,7 @@ def curvature_at(arcs: Any, position: float) -> float:
 
 @compiled
 def road_turn_rate(car: Any, arcs: Any) -> float:
-    """How fast the road turns under the car: c s', s' = v cos(psi)/(1 - c d) [rad/s]."""
+    """The road's turning under the car: c s' with s' = v cos(psi)/(1 - c d) [rad/s]."""
     curvature = curvature_at(arcs, car.position)
     if curvature == 0.0:
         return 0.0
@@ -40,7 +40,7 @@ def road_turn_rate(car: Any, arcs: Any) -> float:
 
 
 def road_turning(cars: Any, arcs: Any) -> tuple[FloatArray, FloatArray]:
-    """Under each of N cars: the curvature [1/m] and ``road_turn_rate`` [rad/s], (N,) float64."""
+    """The curvature [1/m] and ``road_turn_rate`` [rad/s] under each of N cars, (N,) float64."""
     curvature, turn_rate = np.empty(len(cars)), np.empty(len(cars))
     _read_turning(np.ascontiguousarray(cars), arcs, curvature, turn_rate)
     return curvature, turn_rate
@@ -69,14 +69,14 @@ def half_extent(yaw: float, constants: Any) -> float:
 
 @internal
 def turned_extent(sine: float, cosine: float, constants: Any) -> float:
-    """``half_extent`` where the sine and cosine of psi are at hand [m]."""
+    """``half_extent`` from the sine and cosine of psi [m]."""
     across = constants.vehicle_length * abs(sine)
     return 0.5 * float(across + constants.vehicle_width * abs(cosine))
 
 
 @internal
 def occupy(car: Any, extent: float, constants: Any) -> None:
-    """Set the lanes that the body overlaps, off-road parts counted to the outermost lane."""
+    """Set the lanes that the body overlaps; parts off the road count to the outermost lane."""
     last = constants.num_lanes - 1
     low = math.floor((car.lateral_position - extent) / constants.lane_width)
     high = math.floor((car.lateral_position + extent) / constants.lane_width)
@@ -87,20 +87,20 @@ def occupy(car: Any, extent: float, constants: Any) -> None:
 @internal
 def is_body_in(car: Any, lane: int) -> Any:
     """Whether the body overlaps the lane."""
-    # No ``and``, so that it also takes columns of a table.
+    # ``&`` and not ``and``, so that it also works on columns of a table.
     return (car.lane_low <= lane) & (lane <= car.lane_high)
 
 
 @internal
 def is_wholly_in(car: Any) -> Any:
-    """Whether the body overlaps the lane that the car keeps, and no other."""
-    # No ``and``, so that it also takes columns of a table.
+    """Whether the body overlaps only the lane that the car keeps."""
+    # ``&`` and not ``and``, so that it also works on columns of a table.
     return (car.lane_low == car.lane) & (car.lane == car.lane_high)
 
 
 @internal
 def is_off_road(car: Any, extent: float, constants: Any) -> bool:
-    """Whether the body is beyond an edge of the road, or the car no longer faces along it.
+    """Whether the body is over an edge of the road, or |yaw| is 90 degrees or more.
 
     ``extent`` is the body's ``half_extent`` [m].
     """

@@ -1,4 +1,4 @@
-"""How a vehicle moves: integration in the road (Frenet) frame, and what it can attain."""
+"""Motion of a vehicle: integration in the road (Frenet) frame, bounds of its acceleration."""
 
 import math
 from typing import Any
@@ -9,14 +9,15 @@ from marl_lanes.traffic.road.geometry import curvature_at, half_extent, occupy, 
 
 @compiled
 def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
-    """One semi-implicit Euler step of dt under the car's acceleration and yaw acceleration.
+    """One semi-implicit Euler step of dt with the car's acceleration and yaw acceleration.
 
     v += a dt (not below 0); omega += alpha dt, |omega| <= v/R_min; psi += (omega - c s') dt;
-    s += v cos(psi)/(1 - c d) dt; d += v sin(psi) dt. Each line uses what the lines before it gave.
-    Where a bound holds, a or alpha becomes what was applied: (after - before)/dt.
+    s += v cos(psi)/(1 - c d) dt; d += v sin(psi) dt. Each formula uses the results of those
+    before it. If v or omega reaches its bound, a or alpha is replaced by the applied value,
+    (after - before)/dt.
 
     Returns:
-        Half of the body's width across the road afterwards, as ``half_extent`` [m].
+        The body's ``half_extent`` after the step [m].
     """
     step = constants.time_step
     speed = car.speed + car.acceleration * step
@@ -47,9 +48,9 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
 
 @internal
 def attainable(acceleration: float, car: Any, constants: Any) -> float:
-    """The acceleration that a driver who wants this one can have in a step [m/s^2].
+    """The possible acceleration in a step if the driver wants this one [m/s^2].
 
-    Not below the physical braking limit, nor below what brings the car to a standstill.
+    Not below the physical braking limit, and not below what stops the car within the step.
     """
     stopping = (0.0 - car.speed) / constants.time_step
     return float(max(acceleration, -constants.max_braking, stopping))

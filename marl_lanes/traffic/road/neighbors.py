@@ -1,4 +1,4 @@
-"""Who is ahead and who is behind, lane by lane, along the order of decreasing position."""
+"""The vehicles ahead and behind in a lane, found along the order of decreasing position."""
 
 from typing import Any
 
@@ -11,9 +11,10 @@ _ENGAGED = int(Phase.ENGAGED)
 
 @internal
 def insert_by_position(order: Any, rank: int, vehicles: Any) -> None:
-    """Move the vehicle at ``rank`` ahead of those before it that it has passed.
+    """Move the vehicle at ``rank`` in the order ahead of the vehicles that it has passed.
 
-    Over all ranks from the front an insertion sort, near linear on near order.
+    Called for all ranks from the front this is an insertion sort, nearly linear because the order
+    hardly changes in a step.
     """
     slot = order[rank]
     position = vehicles[slot].position
@@ -40,7 +41,7 @@ def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
 def neighbor_rank(
     rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
 ) -> int:
-    """Rank of the nearest vehicle in the lane from ``rank`` on: stride -1 ahead, +1 behind."""
+    """Rank of the nearest vehicle in the lane, ahead of ``rank`` (stride -1) or behind it (+1)."""
     other = rank + stride
     while 0 <= other < count:
         if is_in_lane(vehicles[order[other]], lane, agents):
@@ -53,7 +54,7 @@ def neighbor_rank(
 def neighbor_in_lane(
     rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
 ) -> int:
-    """Slot of the nearest vehicle in the lane from ``rank`` on: stride -1 ahead, +1 behind."""
+    """Slot of the nearest vehicle in the lane, ahead of ``rank`` (stride -1) or behind it (+1)."""
     other = rank + stride
     while 0 <= other < count:
         slot = order[other]
@@ -74,7 +75,7 @@ def neighbors_in_lanes(
     vehicles: Any,
     agents: Any,
 ) -> tuple[int, int]:
-    """``neighbor_in_lane`` of two lanes at once."""
+    """``neighbor_in_lane`` for two lanes at once."""
     neighbor = other_neighbor = NONE
     at = rank + stride
     while 0 <= at < count and (neighbor == NONE or other_neighbor == NONE):

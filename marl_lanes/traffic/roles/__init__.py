@@ -1,1 +1,1 @@
-"""Who learns: what a changer and a follower see, do and are paid."""
+"""The roles that can learn, changer and follower: observation, action and reward."""

@@ -1,8 +1,8 @@
 """The changer: a vehicle that is commanded to change lanes, from the command to its outcome.
 
-Its quantities are in the maneuver frame, positive toward the target lane. Features are formulas of
-the agent's record, its vehicle and the ``Scene``; terms of its reward of their weight and the
-``Step``.
+Lateral quantities are in the maneuver frame, positive toward the target lane. A feature's formula
+has the agent's record, its vehicle and the ``Scene`` as arguments, a reward term's formula its
+weight and the ``Step``.
 """
 
 import math
@@ -28,7 +28,7 @@ _OFF_ROAD = int(Outcome.OFF_ROAD)
 
 
 class Scene(NamedTuple):
-    """A road, as one argument of many formulas."""
+    """A road with its parameters, as one argument of the features' formulas."""
 
     road: Any
     vehicles: Any
@@ -41,7 +41,7 @@ class Scene(NamedTuple):
 
 @internal
 def _gap_to(other: int, car: Any, scene: Any) -> float:
-    """Bumper to bumper, cut off at the sensor's range, which stands for nobody there [m]."""
+    """Bumper-to-bumper gap, at most the sensor range; the sensor range without a neighbor [m]."""
     if other == NONE:
         return float(scene.constants.sensor_range)
     distance = abs(scene.vehicles[other].position - car.position)
@@ -50,7 +50,7 @@ def _gap_to(other: int, car: Any, scene: Any) -> float:
 
 @internal
 def _relative_speed(other: int, car: Any, scene: Any) -> float:
-    """The other's speed minus the own, 0 where nobody is there [m/s]."""
+    """The neighbor's speed minus the agent's, 0 without a neighbor [m/s]."""
     if other == NONE:
         return 0.0
     return float(scene.vehicles[other].speed - car.speed)
@@ -108,7 +108,7 @@ FEATURES = (
     ),
     Feature(
         *("leader_gap", "m", 50.0, 50.0, -20.0, 1e4),
-        "to the one ahead in the origin lane",
+        "to the vehicle ahead in the origin lane",
         lambda agent, car, scene: _gap_to(agent.leader, car, scene),
     ),
     Feature(
@@ -118,7 +118,7 @@ FEATURES = (
     ),
     Feature(
         *("follower_gap", "m", 50.0, 50.0, -20.0, 1e4),
-        "to the one behind in the origin lane",
+        "to the vehicle behind in the origin lane",
         lambda agent, car, scene: _gap_to(agent.follower, car, scene),
     ),
     Feature(
@@ -158,7 +158,7 @@ FEATURES = (
     ),
     Feature(
         *("car_following_acceleration", "m/s^2", 0.0, 2.0, -20.0, 20.0),
-        "what car following would do",
+        "acceleration of car following in this state",
         lambda agent, car, scene: _car_following(agent, scene),
     ),
     Feature(
@@ -167,19 +167,19 @@ FEATURES = (
         lambda agent, car, scene: scene.constants.road_length - car.position,
     ),
 )
-"""Every feature that a scenario may name. Where there is no neighbor its gap is the scenario's
-``sensor_range``, at which gaps are cut off, and its relative speed 0."""
+"""Every feature that a scenario may name. Gaps are at most the scenario's ``sensor_range``.
+Without a neighbor the gap is ``sensor_range`` and the relative speed 0."""
 
 
 class Step(NamedTuple):
-    """What an agent has done in a step, as one argument of the terms' formulas."""
+    """The result of an agent's step, as one argument of the terms' formulas."""
 
     agent: Any
     car: Any
     deviation: float
-    """Lateral deviation after it [m]."""
+    """Lateral deviation after the step [m]."""
     turning: float
-    """Yaw rate after it, relative to the road's own turning [rad/s]."""
+    """Yaw rate after the step, relative to the road's turning [rad/s]."""
     outcome: int
     constants: Any
 
@@ -199,7 +199,7 @@ def _charge_departure(weight: float, step: Any) -> float:
 TERMS = (
     Term(
         *("yaw_acceleration", "yaw_acceleration_weight", "s^2/rad"),
-        "Eq. 10: -w |a|, a the yaw acceleration applied in the step",
+        "Eq. 10: -w |a|, with the applied yaw acceleration a",
         lambda w, step: -w * abs(step.car.yaw_acceleration) if is_steering(step.agent) else 0.0,
         is_steering_cost=True,
     ),
@@ -221,7 +221,7 @@ TERMS = (
     ),
     Term(
         *("failure", "failure_penalty", "1"),
-        "-w in the step of a collision, or off the road",
+        "-w in the step of a collision or of leaving the road",
         lambda w, step: -w if _is_failure(step.outcome) else 0.0,
     ),
     Term(
@@ -231,11 +231,11 @@ TERMS = (
     ),
     Term(
         *("longitudinal", "longitudinal_weight", "s^4/m^2"),
-        "-w (a - a_following)^2, of the second action",
+        "-w (a - a_following)^2, if there is a second action",
         _charge_departure,
     ),
 )
-"""What a changer is paid for a step. The first three count while it steers, the others always."""
+"""The terms of a changer's reward. The first three count while it steers, the others always."""
 
 observe_changer = make_observer(FEATURES)
 pay_changer = make_payment(TERMS)

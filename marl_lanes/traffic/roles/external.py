@@ -1,4 +1,4 @@
-"""Followers driven from outside the simulation: the protocol, the registry, the checks."""
+"""Followers that a policy drives: the protocol, the registry, the checks."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -15,11 +15,11 @@ FOLLOWER_COLUMNS = {feature.name: column for column, feature in enumerate(FOLLOW
 
 
 class FollowerPolicy(Protocol):
-    """What drives followers: a function of the observations of n of them.
+    """A policy of external followers: a function of the observations of n followers.
 
-    Called once a time step for all paired drivers of its name, of every road, in the order of road
-    and slot; it must not keep the array. For equal observations it must return equal accelerations
-    (no random numbers of its own), or runs are not repeatable.
+    It is called once per time step for all paired drivers with its name on all roads, in the order
+    of road and slot. It must not keep the array. For equal observations it must return equal
+    accelerations (no random numbers of its own); otherwise runs are not repeatable.
     """
 
     def __call__(self, observations: NDArray[np.float32], /) -> NDArray[np.floating]:
@@ -27,21 +27,22 @@ class FollowerPolicy(Protocol):
 
 
 class FollowerError(ValueError):
-    """A follower's policy returned what no vehicle can do."""
+    """A follower's policy returned invalid accelerations."""
 
 
 _registered: dict[str, FollowerPolicy] = {}
 
 
 def register_follower(name: str, policy: FollowerPolicy) -> None:
-    """Make a policy usable as a disposition of that name in ``followers.mix``.
+    """Register a policy as a disposition, with this name in ``followers.mix``.
 
     Args:
-        name: letters, digits, _ and -, a letter or _ first; a name given again is replaced.
+        name: letters, digits, _ and -, a letter or _ first. A second policy with this name
+            replaces the first.
         policy: see ``FollowerPolicy``.
 
     Raises:
-        ValueError: the name is one of the scripted ones or ``learned``, or not of that form.
+        ValueError: the name is a scripted disposition or ``learned``, or has another form.
         TypeError: the policy cannot be called.
     """
     taken = (*SCRIPTED, LEARNED)
@@ -60,7 +61,7 @@ def choose_policies(
     *,
     has_learner: bool,
 ) -> tuple[FollowerPolicy | None, ...]:
-    """The policy of every external name in the mix, in order; None where a learner acts.
+    """The policy of every external name in the mix, in order; None if a learner acts.
 
     Raises:
         ScenarioError: a name has no policy.
@@ -84,7 +85,7 @@ def choose_policies(
 def ask_policy(
     name: str, policy: FollowerPolicy, observations: NDArray[np.float32], scenario: Scenario
 ) -> NDArray[np.float64]:
-    """The policy's accelerations, (n,) float64, or a clear error.
+    """The policy's accelerations, checked, (n,) float64 [m/s^2].
 
     Raises:
         FollowerError: wrong shape or type, not finite, or out of the bounds of followers.external.
@@ -103,7 +104,7 @@ def ask_policy(
         )
     (acceleration,) = FOLLOWER.act(scenario)
     low, high = acceleration.low, acceleration.high
-    # Float32 networks bound their output to within rounding.
+    # The bounded output of a float32 network may exceed its bounds by rounding.
     margin = 1e-5
     bad = ~((low - margin <= accelerations) & (accelerations <= high + margin))
     if bad.any():

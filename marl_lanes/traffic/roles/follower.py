@@ -1,7 +1,7 @@
-"""The follower: an external driver behind a changer in its target lane.
+"""The follower: an external driver behind a changer, in the changer's target lane.
 
-Features are formulas of the changer's record, the driver's vehicle, the changer's vehicle and the
-``Scene``; terms of its reward of their weight and the ``Step``.
+A feature's formula has the changer's record, the driver's vehicle, the changer's vehicle and the
+``Scene`` as arguments, a reward term's formula its weight and the ``Step``.
 """
 
 import math
@@ -78,7 +78,7 @@ FEATURES = (
     ),
     Feature(
         *("leader_gap", "m", 50.0, 50.0, -20.0, 1e4),
-        "to the one ahead in the own lane",
+        "to the vehicle ahead in the own lane",
         lambda agent, driver, changer, scene: _leader_gap(agent, driver, scene),
     ),
     Feature(
@@ -92,19 +92,19 @@ FEATURES = (
         lambda agent, driver, changer, scene: agent.phase,
     ),
 )
-"""The columns of a follower's observation, in order. The one ahead in the own lane is the changer's
-target leader; where there is none, gap and relative speed are as for a changer."""
+"""The columns of a follower's observation, in order. The vehicle ahead in the own lane is the
+changer's target leader; without one, gap and relative speed are as for a changer."""
 
 
 class Step(NamedTuple):
-    """What a paired driver has done in a step, as one argument of the terms' formulas."""
+    """The result of a paired driver's step, as one argument of the terms' formulas."""
 
     driver: Any
     agent: Any
     """The changer's record."""
     changer: Any
     has_aborted: bool
-    """Whether the changer was turned back in it."""
+    """Whether the changer began to abort in the step."""
     constants: Any
 
 
@@ -120,7 +120,7 @@ TERMS = (
     ),
     Term(
         *("abort", "abort_weight", "1"),
-        "w in the step in which the changer is turned back",
+        "w in the step in which the changer begins to abort",
         lambda w, step: w if step.has_aborted else 0.0,
     ),
     Term(
@@ -141,7 +141,7 @@ TERMS = (
         ),
     ),
 )
-"""What a paired driver is paid for a step."""
+"""The terms of a paired driver's reward."""
 
 observe_follower = make_observer(FEATURES)
 pay_follower = make_payment(TERMS)

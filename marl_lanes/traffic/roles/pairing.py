@@ -1,4 +1,4 @@
-"""External followers: which driver is paired with which changer, what it sees, what it is paid."""
+"""External followers: pairs of driver and changer, their observations and rewards."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ def find_driver(agent: Any, vehicles: Any) -> int:
     if agent.phase != _ENGAGED or slot == NONE:
         return NONE
     driver = vehicles[slot]
-    # Of two changers the nearer one counts. A driver with a command of its own is not paired.
+    # Only the nearest changer counts. A driver with a command of its own is not paired.
     if driver.changer != agent.vehicle or driver.agent != NONE or driver.disposition < _EXTERNAL:
         return NONE
     return int(slot)
@@ -35,7 +35,7 @@ def find_driver(agent: Any, vehicles: Any) -> int:
 
 @internal
 def pair(scene: Any, followers: Any, observations: Any, features: Any) -> None:
-    """Pay the drivers that acted in this step, then pair the engaged changers anew."""
+    """Reward the drivers that acted in this step, then pair the engaged changers again."""
     agents, vehicles, c = scene.agents, scene.vehicles, scene.constants
     for index in range(agents.shape[0]):
         agent, follower = agents[index], followers[index]
@@ -46,7 +46,7 @@ def pair(scene: Any, followers: Any, observations: Any, features: Any) -> None:
         changer = vehicles[agent.vehicle]
         if follower.vehicle == NONE:
             clear_payment(follower)
-            # A new command may have taken the slot in the step that freed it.
+            # A new command may have got the slot in the step that freed it.
             follower.episode_reward = follower.episode_reward if agent.steering_steps > 0 else 0.0
         else:
             driver, has_aborted = vehicles[follower.vehicle], agent.phase == _ABORTING

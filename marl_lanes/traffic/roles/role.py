@@ -1,7 +1,7 @@
-"""What a role is: what its agents see, do and are paid, in one definition.
+"""A role: one definition of the observation, action and reward of its agents.
 
-Spaces, specs, infos, networks, the checks of checkpoints, tables and traces follow from it, and the
-kernels that observe and pay are made of its rows.
+Spaces, specs, infos, networks, the checks of checkpoints, tables and traces follow from it. The
+kernels for observations and rewards are made from its rows.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import Records, Table, structure
 
 Formula = Callable[..., float]
-"""A kernel's source: it is compiled, so it uses numbers, records and other kernels alone."""
+"""A kernel's source: it is compiled, so it may use only numbers, records and other kernels."""
 
 Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Lowest and highest values, two (n,) float32."""
@@ -37,7 +37,7 @@ class Feature(NamedTuple):
     high: float
     meaning: str
     formula: Formula
-    """Its value; the role says of what."""
+    """Its value; the module of the role names the arguments."""
 
 
 class Term(NamedTuple):
@@ -45,14 +45,14 @@ class Term(NamedTuple):
 
     name: str
     weight: str
-    """The field of the scenario's reward section that it is multiplied by."""
+    """The field of the scenario's reward section that holds its weight."""
     unit: str
-    """Of the weight: the term itself has none."""
+    """Unit of the weight; the term itself has none."""
     meaning: str
     formula: Formula
-    """Its value, weighted; the role says of what, after the weight."""
+    """Its weighted value; the module of the role names the arguments after the weight."""
     is_steering_cost: bool = False
-    """Whether it charges a changer's steering, as Eq. 13 sums it and the optimum minimises it."""
+    """Whether it is a cost of steering: part of the return, Eq. 13; the optimum must include it."""
 
 
 class Dimension(NamedTuple):
@@ -66,18 +66,18 @@ class Dimension(NamedTuple):
 
 @dataclass(frozen=True)
 class Role:
-    """What learns on the roads.
+    """A kind of agent that can learn.
 
     Args:
         name: agents are called name_0, name_1, ... in PettingZoo.
         group: of the agents in TorchRL.
-        table: of the state, which holds what they are paid.
-        record: its fields.
-        observations: the state's array of what they see.
-        features: everything that they could see.
-        terms: everything that they are paid, in the order in which it is summed.
-        see: names of the features that they see on a scenario, in order.
-        act: the dimensions of their action on a scenario.
+        table: name of the state's table with their rewards.
+        record: fields of that table.
+        observations: name of the state's array of their observations.
+        features: all features that they can observe.
+        terms: all terms of their reward, in the order of summation.
+        see: names of the features that they observe in a scenario, in order.
+        act: the dimensions of their action in a scenario.
         reward: the scenario's section with the weights of the terms.
     """
 
@@ -98,21 +98,21 @@ class Role:
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """Of a record of the table."""
+        """The dtype of a record of the table."""
         return structure(self.record, num_terms=len(self.terms))
 
     @property
     def reward_names(self) -> tuple[str, ...]:
-        """What the terms are called outside the simulation, in their order."""
+        """Names of the terms outside the simulation, in their order."""
         return tuple(f"reward_{term.name}" for term in self.terms)
 
     def codes(self, scenario: Scenario) -> NDArray[np.int32]:
-        """Rows of the features that are seen, (F,) int32."""
+        """Row numbers of the observed features, (F,) int32."""
         rows = {feature.name: row for row, feature in enumerate(self.features)}
         return np.asarray([rows[name] for name in self.see(scenario)], np.int32)
 
     def seen(self, scenario: Scenario) -> list[Feature]:
-        """The features that are seen, in order."""
+        """The observed features, in order."""
         return [self.features[code] for code in self.codes(scenario)]
 
     def observation_bounds(self, scenario: Scenario) -> Bounds:
@@ -124,18 +124,18 @@ class Role:
         return _bounds(self.act(scenario))
 
     def weights(self, scenario: Scenario) -> list[float]:
-        """Of the terms, in their order."""
+        """Weights of the terms, in their order."""
         section = self.reward(scenario)
         return [getattr(section, term.weight) for term in self.terms]
 
     def terms_of(self, records: Records) -> dict[str, NDArray[np.float64]]:
-        """The terms of the last step by ``reward_names``, each of the shape of ``records``."""
+        """The terms of the last step by ``reward_names``, each with the shape of ``records``."""
         columns = np.moveaxis(records["terms"], -1, 0)
         return dict(zip(self.reward_names, columns, strict=True))
 
 
 def role_named(name: str) -> Role:
-    """The role that the module of its name defines."""
+    """The role with this name, from the module of the same name."""
     role: Role = getattr(import_module(f"{__package__}.{name}"), name.upper())
     return role
 
@@ -146,7 +146,7 @@ def _bounds(rows: Sequence[Feature] | Sequence[Dimension]) -> Bounds:
 
 
 def make_observer(features: Sequence[Feature]) -> Callable[..., None]:
-    """The kernel ``observe(codes, seen, *what)``: ``seen[i]`` is the feature ``codes[i]``."""
+    """The kernel ``observe(codes, seen, *what)``: sets ``seen[i]`` to the feature ``codes[i]``."""
     value_of = _chosen([internal(feature.formula) for feature in features])
 
     @internal
@@ -158,7 +158,7 @@ def make_observer(features: Sequence[Feature]) -> Callable[..., None]:
 
 
 def _chosen(formulas: Sequence[Formula], first: int = 0) -> Formula:
-    """The kernel ``value_of(code, *what)``; a chain, for kernels cannot look functions up."""
+    """The kernel ``value_of(code, *what)``: a chain, as kernels cannot select a function."""
     formula = formulas[0]
     if len(formulas) == 1:
 
@@ -179,7 +179,7 @@ def _chosen(formulas: Sequence[Formula], first: int = 0) -> Formula:
 
 
 def make_payment(terms: Sequence[Term]) -> Callable[..., None]:
-    """The kernel ``pay(record, weights, *what)``: every term, their sum, and its sum over time."""
+    """The kernel ``pay(record, weights, *what)``: sets all terms, their sum, its sum over time."""
     number = len(terms)
     write = _written([internal(term.formula) for term in terms])
 
@@ -196,7 +196,7 @@ def make_payment(terms: Sequence[Term]) -> Callable[..., None]:
 
 
 def _written(formulas: Sequence[Formula], index: int = 0) -> Callable[..., None]:
-    """The kernel ``write(values, weights, *what)``, a chain as that of the features."""
+    """The kernel ``write(values, weights, *what)``: a chain, like that of the features."""
     formula = formulas[0]
     if len(formulas) == 1:
 

@@ -1,4 +1,4 @@
-"""The gap rules: values by hand, who counts as being in a lane, nobody collides under them."""
+"""The gap rules: values by hand, which vehicles are in a lane, no collisions with them."""
 
 import math
 
@@ -11,7 +11,7 @@ from marl_lanes.traffic.simulator import Simulator
 
 ALWAYS = {"command": {"probability": 1.0}}
 IDLE = {"desired_speed": 1e6}
-"""Nearly no free-road term; the acceleration of one step is a_m at most."""
+"""Makes the free-road term almost 0; the acceleration in a step is at most a_m."""
 
 
 def simulator_of(**overrides):
@@ -23,7 +23,7 @@ def simulator_of(**overrides):
 def phase_beside(place, distance, phase, speeds, *, profile=0, **overrides):
     """Phase after a step of a changer in lane 1 with one neighbor, in lane 2.
 
-    ``distance``, bumper to bumper, is the one after the step.
+    ``distance`` is bumper to bumper, after the step [m].
     """
     simulator = simulator_of(**overrides)
     own, other = speeds
@@ -46,7 +46,7 @@ def phase_beside(place, distance, phase, speeds, *, profile=0, **overrides):
 
 
 def safe_gap(rear, front, braking, *, s0=5.0, headway=1.0, a_m=2.0, b=1.5):
-    """Where Eq. 9 of the vehicle behind gives -braking, without the free-road term."""
+    """The gap at which Eq. 9 of the rear vehicle gives -braking, without free-road term [m]."""
     desired = s0 + max(0.0, rear * headway + rear * (rear - front) / (2.0 * math.sqrt(a_m * b)))
     return desired / math.sqrt(1.0 + braking / a_m)
 
@@ -69,7 +69,7 @@ def test_the_law_is_the_limit_and_acceptance_keeps_a_margin(
 ):
     speeds = (rear, front) if place == "leader" else (front, rear)
     limit = safe_gap(rear, front, braking)
-    # In the step the speeds change by 0.2 m/s, the gap by 0.02 m, and the law a little with them.
+    # In the step the speeds change by 0.2 m/s, the gap by 0.02 m, and so the law a little.
     assert phase_beside(place, limit - 2.0, before, speeds) == unsafe
     assert phase_beside(place, limit + 2.0, before, speeds) == Phase.ENGAGED
 
@@ -112,7 +112,7 @@ def test_the_standard_form_counts_the_free_road_term_as_well():
 
 
 def test_bodies_closer_than_d_min_are_never_safe():
-    """Under the ACC model a leader that pulls away needs no room but this."""
+    """With the ACC model no other gap is required behind a leader that pulls away."""
     for gap, expected in ((1.5, Phase.WAITING), (2.6, Phase.ENGAGED)):
         found = phase_beside(
             "leader", gap, Phase.WAITING, (15.0, 20.0), drivers={"car_following": "acc"}
@@ -123,9 +123,9 @@ def test_bodies_closer_than_d_min_are_never_safe():
 @pytest.mark.parametrize(("gap", "phase"), [(11.0, Phase.WAITING), (12.0, Phase.ENGAGED)])
 @pytest.mark.parametrize("place", ["leader", "follower"])
 def test_rule_kinematic_accepts_from_the_required_gap_on(gap, phase, place):
-    """At 20 m/s the required gap is 2 + 0.4 * 20 = 10 m, with 4 m/s of closing 2 m more."""
+    """At 20 m/s the required gap is 2 + 0.4 * 20 = 10 m, and 2 m more at 4 m/s closing speed."""
     simulator = simulator_of(gap={"rule": "kinematic"})
-    # The free-road accelerations of the first step leave both speeds and the gap nearly alone.
+    # The free-road accelerations of the first step hardly change the speeds and the gap.
     speeds = {"leader": (20.0, 16.0), "follower": (16.0, 20.0)}[place]
     offset = 4.8 + gap + 0.5
     other = {"lane": 2, "position": 200.0 + (offset if place == "leader" else -offset)}
@@ -141,13 +141,13 @@ def test_rule_kinematic_accepts_from_the_required_gap_on(gap, phase, place):
 
 
 def test_two_changers_never_accept_the_same_gap():
-    """Both abreast in lanes 1 and 3 of five, both toward the empty lane 2: one has to wait."""
+    """Side by side in lanes 1 and 3 of five, both toward the empty lane 2: one has to wait."""
     simulator = simulator_of(road={"num_lanes": 5})
     stage(simulator, {"lane": 1, "position": 200.0}, {"lane": 3, "position": 203.0})
     command(simulator, 0, 1, Phase.WAITING)
     command(simulator, 1, -1, Phase.WAITING)
     simulator.step()
-    # The front one comes first, whatever its slot.
+    # The front one comes first, in any slot.
     assert simulator.agents[0]["phase"][:2].tolist() == [Phase.WAITING, Phase.ENGAGED]
     assert simulator.agents[0, 0]["target_leader"] == 1
 
@@ -201,10 +201,11 @@ def test_an_engaged_changer_from_the_other_side_counts_as_being_in_the_lane():
             assert simulator.agents[0, 1]["target_leader"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["car_following", "kinematic"])
 @pytest.mark.parametrize("form", ["max", "sum", "acc"])
-def test_nobody_collides_in_busy_traffic(rule, form):
-    """Five crowded lanes, every driver profile and disposition, everybody commanded."""
+def test_no_vehicle_collides_in_busy_traffic(rule, form):
+    """Five crowded lanes, every driver profile and disposition, every vehicle commanded."""
     overrides = {
         **ALWAYS,
         "road": {"length": 800.0},

@@ -1,4 +1,4 @@
-"""The command's life: who is commanded, waiting, the gap guard, every outcome, the reward."""
+"""The life of a command: which vehicles get one, waiting, aborts, every outcome, the reward."""
 
 import itertools
 
@@ -20,7 +20,7 @@ def simulator_of(**overrides):
 
 
 def births(simulator, num_steps, steer=damped_actions):
-    """A row for every command that a rollout gives: its env, vehicle id and the fields at birth."""
+    """A row for every command in a rollout: its env, vehicle id, and fields at its beginning."""
     known = simulator.agents["command"].copy()
     rows = []
     for _ in range(num_steps):
@@ -42,7 +42,7 @@ def test_the_commanded_share_and_the_directions():
     simulator = Simulator("paper", 100, seed=3, overrides={"num_agents": None})
     simulator.reset()
     rows = births(simulator, 1500, lambda _: None)
-    # 100 middle lanes, 150 s, a vehicle each 7.5 s: 2000 vehicles, one third commanded.
+    # 100 middle lanes, 150 s, one vehicle per 7.5 s: 2000 vehicles, one third commanded.
     assert len(rows) == pytest.approx(2000 / 3, rel=0.15)
     left = np.mean([row["direction"] == 1 for row in rows])
     assert left == pytest.approx(0.5, abs=0.06)
@@ -61,7 +61,7 @@ def test_each_middle_lane_vehicle_is_commanded_once_where_the_scenario_says(name
     for row in rows:
         assert row["lane"] == row["origin_lane"]
         assert row["target_lane"] == row["origin_lane"] + row["direction"]
-        # One step at 33 m/s beyond the last command position at most.
+        # At most one step at 33 m/s beyond the last command position.
         assert 140.0 <= row["position"] < 160.0 + 3.4
     for env in range(16):
         numbers = [row["command"] for row in rows if row["env"] == env]
@@ -112,7 +112,7 @@ def test_num_agents_ends_the_episode(num_agents):
 
 
 @pytest.mark.parametrize("seed", [22, 24, 25])
-def test_the_horizon_ends_whoever_is_live(seed):
+def test_the_horizon_ends_every_live_agent(seed):
     overrides = {**ALWAYS, "horizon": 3.0, "num_agents": None}
     simulator = Simulator("dense", 16, seed=seed, overrides=overrides)
     simulator.reset()
@@ -126,7 +126,7 @@ def test_the_horizon_ends_whoever_is_live(seed):
     assert (simulator.roads["is_done"] == 1).all()
     assert (simulator.agents["outcome"][was_live] != Outcome.UNFINISHED).all()
     assert (simulator.agents["outcome"] == Outcome.HORIZON).any()
-    assert (simulator.roads["num_live"] == 0).all(), "someone is live after the episode is over"
+    assert (simulator.roads["num_live"] == 0).all(), "an agent is live after the episode is over"
 
 
 def test_a_waiting_agents_action_is_ignored_and_its_reward_is_zero():
@@ -146,7 +146,7 @@ def test_a_waiting_agents_action_is_ignored_and_its_reward_is_zero():
     assert waited > 500
 
 
-def test_who_never_finds_a_gap_has_missed_at_the_roads_end():
+def test_an_agent_that_never_finds_a_gap_has_missed_at_the_roads_end():
     overrides = {"gap": {"minimum_gap": 5000.0}, **ALWAYS, "num_agents": 4}
     simulator = Simulator("paper", 1, seed=6, overrides=overrides)
     simulator.reset()
@@ -170,7 +170,7 @@ def test_a_violated_gap_aborts_before_the_marking_and_the_agent_waits_again():
     row = simulator.agents[0, agent]
     assert row["phase"] == Phase.ABORTING
     assert row["num_aborts"] == 1
-    # The reference is now the original lane's centre: 5.625 - 6.0, to the left is positive.
+    # The reference is now the origin lane's centre: 5.625 - 6.0, positive to the left.
     assert simulator.state.observations[0, agent, 2] == pytest.approx(-0.375, abs=1e-6)
     phases = [Phase.ABORTING]
     for _ in range(80):
@@ -179,7 +179,7 @@ def test_a_violated_gap_aborts_before_the_marking_and_the_agent_waits_again():
         phases.append(Phase(int(simulator.agents[0, agent]["phase"])))
     assert [phase for phase, _ in itertools.groupby(phases)] == [Phase.ABORTING, Phase.WAITING]
     assert simulator.vehicles[0, 0]["lateral_position"] == pytest.approx(5.625, abs=0.2)
-    # The other one leaves: the same command engages again and completes.
+    # The other vehicle goes away: the same command engages again and completes.
     simulator.vehicles[0, 1]["position"] = 10.0
     outcomes = []
     for _ in range(150):
@@ -189,7 +189,7 @@ def test_a_violated_gap_aborts_before_the_marking_and_the_agent_waits_again():
     assert simulator.agents[0, agent]["num_aborts"] == 1
 
 
-def test_over_the_marking_nobody_turns_back():
+def test_over_the_marking_no_agent_aborts():
     simulator = simulator_of()
     for lateral, phase in ((6.59, Phase.ABORTING), (6.61, Phase.ENGAGED)):
         stage(
@@ -231,7 +231,7 @@ def test_a_settled_completion_also_bounds_lateral_speed_and_yaw_rate(values, has
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_a_hostile_action_leads_off_the_road_and_pays_once(direction):
+def test_an_extreme_action_leads_off_the_road_and_is_penalized_once(direction):
     simulator = simulator_of(completion={"max_deviation": 0.01})
     stage(simulator, {"lane": 1, "position": 200.0})
     agent = command(simulator, 0, direction)

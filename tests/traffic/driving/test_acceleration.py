@@ -1,4 +1,4 @@
-"""What the vehicle behind an engaged changer does, by its disposition."""
+"""Acceleration of the vehicle behind an engaged changer, by its disposition."""
 
 import math
 
@@ -22,13 +22,13 @@ def simulator_of(**overrides):
 def following(
     disposition, *, phase=Phase.ENGAGED, lateral=5.625, gap=10.2, speeds=(20.0, 15.0), **overrides
 ):
-    """Acceleration of the follower in lane 2 behind a changer in lane 1 that is engaged already."""
+    """Acceleration of the follower in lane 2 behind a changer in lane 1, engaged by default."""
     simulator = simulator_of(**overrides)
     follower = {"lane": 2, "position": 100.0, "speed": speeds[0], "disposition": disposition}
     changer = {"lane": 1, "position": 104.8 + gap, "speed": speeds[1], "lateral_position": lateral}
     stage(simulator, follower, changer)
     command(simulator, 1, 1, phase)
-    # Whose follower it is has been settled by the step before.
+    # The step before has set whose follower it is.
     simulator.vehicles[0, 0]["changer"] = 1 if phase == Phase.ENGAGED else -1
     simulator.step()
     assert simulator.roads["num_vehicles"][0] == 2
@@ -97,7 +97,7 @@ def test_cooperative_does_nothing_before_engagement():
     assert following(Disposition.COOPERATIVE, phase=Phase.WAITING) == pytest.approx(FREE)
 
 
-def test_cooperative_brakes_as_hard_as_it_must_once_the_body_is_in():
+def test_cooperative_brakes_as_hard_as_necessary_once_the_body_is_in():
     assert following(Disposition.COOPERATIVE, lateral=6.61) == -8.0
 
 
@@ -153,8 +153,8 @@ def test_adversarial_keeps_a_shorter_headway_to_its_own_leader():
 def test_closing_a_gap_does_not_change_what_a_driver_does_for_its_own_target_lane(phase, expected):
     """An adversarial driver with a command, behind a changer.
 
-    Engaged, it follows the target lane's leader with a_m, T and v0 of its profile; waiting, it
-    keeps the pace of the gap that it is in.
+    If engaged, it follows the target lane's leader with a_m, T and v0 of its profile. If waiting,
+    it keeps the pace of the gap beside it.
     """
     simulator = simulator_of(road={"num_lanes": 4})
     stage(
@@ -197,7 +197,7 @@ def test_a_changer_follows_the_nearer_of_the_leaders_in_both_lanes():
         assert simulator.vehicles[0, 0]["acceleration"] == pytest.approx(law(20.0, expected, 0.0))
 
 
-def test_while_waiting_the_own_leader_is_followed_as_hard_as_it_must_be():
+def test_a_waiting_driver_brakes_for_its_own_leader_as_hard_as_necessary():
     simulator = simulator_of()
     stage(
         simulator,

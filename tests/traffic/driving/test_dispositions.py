@@ -1,4 +1,4 @@
-"""What followers make of many maneuvers: gaps, aborts, and no collisions under the gap guard."""
+"""Effect of the followers on many maneuvers: gaps, aborts, no collisions with the gap rule."""
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.training.checkpoint import make_network
 
 torch.set_num_threads(1)
+pytestmark = pytest.mark.slow
 
 KINDS = ("cooperative", "neutral", "adversarial")
 
@@ -27,18 +28,18 @@ def scenario_of(name, *kinds):
 
 
 def interval(values):
-    """99 % of the mean: low, high."""
+    """99 % interval of the mean: low, high."""
     half = 2.576 * np.std(values, ddof=1) / np.sqrt(len(values))
     return np.mean(values) - half, np.mean(values) + half
 
 
 @pytest.fixture(scope="module")
 def maneuvers():
-    """4,000 under each kind, in the same dense traffic, by the rule that accepts narrow gaps."""
+    """2,000 with each kind, in the same dense traffic, with the rule that accepts narrow gaps."""
     found = {}
     for kind in KINDS:
         scenario = load_scenario(scenario_of("dense", kind), {"gap": {"rule": "kinematic"}})
-        found[kind] = run_maneuvers(scenario, prior(scenario), 4000)
+        found[kind] = run_maneuvers(scenario, prior(scenario), 2000)
     return found
 
 
@@ -59,7 +60,7 @@ def attempts(maneuvers):
 
 
 def gap_at_end(attempt):
-    """At the entry into the lane, or before the first step back."""
+    """The gap at the entry into the lane, or in the last step before the abort [m]."""
     row = attempt.entry if attempt.entry is not None else attempt.abort - 1
     return attempt.trace["follower_gap"][row]
 
@@ -67,29 +68,29 @@ def gap_at_end(attempt):
 def test_the_gap_closes_by_disposition_between_engagement_and_entry(attempts):
     """Every first attempt counts, aborted ones up to the abort.
 
-    The plain mean over the entries alone is not ordered so: in dense traffic the narrow gaps of
-    adversarial followers end in aborts, and the entries that remain are those with wide gaps.
+    The mean over the entries alone does not have this order: in dense traffic the narrow gaps of
+    adversarial followers end in aborts, so only the entries with wide gaps remain.
     """
     changes = {
         kind: interval([gap_at_end(one) - one.start[2] for one in attempts[kind].values()])
         for kind in KINDS
     }
-    assert min(len(attempts[kind]) for kind in KINDS) > 3600
+    assert min(len(attempts[kind]) for kind in KINDS) > 1800
     assert changes["cooperative"][0] > changes["neutral"][1], changes
     assert changes["neutral"][0] > changes["adversarial"][1], changes
 
 
 def test_the_gap_at_entry_is_ordered_where_the_engagement_is_the_same(attempts):
-    """The first 1,000 near engagements that are alike, and enter the lane, under every kind.
+    """The near engagements that are equal, and enter the lane, with every kind.
 
-    The 99 % intervals of the mean gaps do not overlap, nor do those of the differences reach 0.
+    The 99 % intervals of the mean gaps do not overlap, and those of the differences are above 0.
     """
     common = set.intersection(*(set(attempts[kind]) for kind in KINDS))
     rows = [[attempts[kind][key] for kind in KINDS] for key in sorted(common)]
     rows = [row for row in rows if all(one.entry is not None for one in row)]
     gaps = np.asarray([[one.gap_at_entry for one in row] for row in rows])
-    near = gaps[[row[0].start[2] < NEAR_GAP for row in rows]][:1000]
-    assert len(near) == 1000
+    near = gaps[[row[0].start[2] < NEAR_GAP for row in rows]]
+    assert len(near) > 500
     means = [interval(column) for column in near.T]
     for column in (0, 1):
         assert means[column][0] > means[column + 1][1], means
@@ -98,7 +99,7 @@ def test_the_gap_at_entry_is_ordered_where_the_engagement_is_the_same(attempts):
 
 
 def test_the_abort_rate_is_ordered(maneuvers):
-    """99 % intervals of the share of maneuvers with an abort do not overlap."""
+    """The 99 % intervals of the share of maneuvers with an abort do not overlap."""
     aborts = {
         kind: interval([float(one.num_aborts > 0) for one in maneuvers[kind]]) for kind in KINDS
     }

@@ -1,4 +1,4 @@
-"""What a waiting driver does for a gap in its target lane."""
+"""Acceleration of a waiting driver toward a gap in its target lane."""
 
 import math
 
@@ -35,23 +35,23 @@ def there(position, speed=20.0, lane=2):
 
 
 NEED = 25.0 / math.sqrt(2.5)
-"""[m] At 20 m/s on either side: where Eq. 9 gives -3 m/s^2."""
+"""[m] Gap at which Eq. 9 gives -3 m/s^2, if both vehicles drive at 20 m/s."""
 
 
 @pytest.mark.parametrize(
     ("distance", "speed", "top", "expected"),
     [
         (0.0, 0.0, 9.0, 0.0),
-        # Half the way up, half down: 2 sqrt(16/1).
+        # Accelerates half of the distance, brakes the other half: 2 sqrt(16/1).
         (16.0, 0.0, 9.0, 8.0),
         (-16.0, 0.0, 9.0, 8.0),
-        # It must only brake: 4 m/s in 4 s over 8 m.
+        # Only brakes: 4 m/s in 4 s over 8 m.
         (8.0, 4.0, 9.0, 4.0),
-        # It passes and comes back: 4 s to a stand at 8 m, then 2 sqrt(8).
+        # Passes the point and comes back: 4 s to a stop at 8 m, then 2 sqrt(8).
         (0.0, 4.0, 9.0, 4.0 + 2.0 * math.sqrt(8.0)),
-        # It first turns round: 4 s, 8 m away, then 2 sqrt(16).
+        # First stops in the wrong direction: 4 s, 8 m away, then 2 sqrt(16).
         (8.0, -4.0, 9.0, 4.0 + 8.0),
-        # At most 2 m/s: 2 s up, 2 s down, 4 m, the other 12 m in 6 s.
+        # At most 2 m/s: 2 s accelerating and 2 s braking over 4 m, the other 12 m in 6 s.
         (16.0, 0.0, 2.0, 10.0),
         (-16.0, 0.0, 2.0, 10.0),
         (16.0, 0.0, 0.0, math.inf),
@@ -62,8 +62,8 @@ def test_travel_time_by_hand(distance, speed, top, expected):
 
 
 def test_it_falls_back_behind_the_vehicle_beside_it_gently():
-    """Nobody else is there: the windows behind are sooner reached than those ahead, or not."""
-    # The edge behind lies 4.8 + NEED m behind 203, 3 m further the aim.
+    """There is no other vehicle; the window behind is reached sooner than the one ahead."""
+    # The window's edge is 4.8 + NEED m behind 203 m, the aim 3 m further.
     aim = 203.0 - 4.8 - NEED - 3.0 - 200.0
     assert aim == pytest.approx(-20.61, abs=0.01)
     assert waiting(there(203.0)) == pytest.approx(max(aim / 5.0, -1.5))
@@ -75,12 +75,12 @@ def test_it_falls_back_behind_the_vehicle_beside_it_gently():
 
 def test_it_speeds_up_to_get_ahead_of_the_vehicle_beside_it():
     assert waiting(there(197.0)) == pytest.approx(FREE)
-    # Close to the edge only as much as it takes: the aim is 2 + 3 m ahead.
+    # Close to the edge it accelerates only as much as necessary: the aim is 2 + 3 m ahead.
     rear = 200.0 - 4.8 - NEED + 2.0
     assert waiting(there(rear)) == pytest.approx(5.0 / 5.0)
 
 
-def test_it_goes_faster_than_it_desires_for_a_gap_but_not_by_more_than_the_factor():
+def test_for_a_gap_it_drives_faster_than_its_desired_speed_up_to_the_factor():
     own = {"speed": 30.0, "desired_speed": 30.0}
     found = waiting(there(185.0, 30.0), own=own)
     assert found == pytest.approx(2.0 * (1.0 - (30.0 / 33.0) ** 4))
@@ -89,16 +89,16 @@ def test_it_goes_faster_than_it_desires_for_a_gap_but_not_by_more_than_the_facto
     assert waiting(there(185.0, 30.0), own=own, **fixed) == pytest.approx(-1.5)
 
 
-def test_who_comes_faster_than_the_driver_may_go_is_let_by():
-    """At 20 m/s, 22 at most, nobody gets ahead of 30 m/s: the driver waits for the place behind."""
+def test_a_vehicle_faster_than_the_drivers_top_speed_is_let_by():
+    """At 22 m/s at most it cannot get ahead of 30 m/s: it waits for the gap behind."""
     own = {"speed": 20.0, "desired_speed": 20.0}
     assert waiting(there(190.0, 30.0), own=own) <= 0.0
 
 
-def test_the_own_leader_bars_the_way_ahead():
-    """Beside a vehicle in the rear half: ahead were nearer, but the own leader is in the way."""
+def test_the_own_leader_can_be_in_the_way_of_the_gap_ahead():
+    """The window ahead is nearer, but the own leader is in the way."""
     assert waiting(there(197.0)) > 1.0
-    # It is 25 m ahead: where car following at 20 m/s would keep it, nothing is left to gain.
+    # The leader is 25 m ahead, the gap of car following at 20 m/s: there is no room to gain.
     assert waiting(there(197.0), there(229.8, lane=1)) == pytest.approx(-1.5)
 
 
@@ -109,7 +109,7 @@ def test_the_own_leader_is_followed_whatever_the_gap():
 
 def test_of_three_gaps_the_one_reached_soonest_is_sought():
     wide = 2.0 * NEED + 4.8
-    # Beside too narrow a gap: the next one behind is wide enough, the next one ahead is far.
+    # The gap beside is too narrow, the next one behind is wide enough, the one ahead is far.
     behind = [there(215.0), there(190.0), there(190.0 - wide - 8.0), there(300.0)]
     assert waiting(*behind) == pytest.approx(-1.5)
     # The other way round.
@@ -125,14 +125,14 @@ def test_without_a_gap_in_sight_it_drives_on():
     assert waiting(*lane, **NEVER) == pytest.approx(plain)
 
 
-def test_it_never_brakes_harder_than_comfortable_for_a_gap():
+def test_for_a_gap_it_never_brakes_harder_than_comfortably():
     found = waiting(there(204.0, 5.0), own={"profile": 1})
     assert found == pytest.approx(-2.5)
     assert waiting(there(204.0, 5.0)) == pytest.approx(-1.5)
 
 
 def test_an_engaged_changer_brakes_gently_for_the_target_lane_until_it_is_there():
-    """20 m behind a leader that is 5 m/s slower: Eq. 9 gives -10 m/s^2."""
+    """29.2 m behind a leader that is 3 m/s slower: Eq. 9 gives -2.2 m/s^2."""
     leader = there(234.0, 17.0)
     gap = 234.0 - 200.0 - 4.8
     law = 2.0 * (1.0 - ((25.0 + 20.0 * 3.0 / (2.0 * math.sqrt(3.0))) / gap) ** 2)
@@ -142,7 +142,7 @@ def test_an_engaged_changer_brakes_gently_for_the_target_lane_until_it_is_there(
     assert waiting(leader, own=inside, phase=Phase.ENGAGED) == pytest.approx(law)
 
 
-def test_an_engaged_changer_keeps_the_speed_that_it_took_for_the_gap():
+def test_an_engaged_changer_keeps_the_speed_that_it_reached_for_the_gap():
     own = {"speed": 21.0, "desired_speed": 20.0}
     slower = 2.0 * (1.0 - (21.0 / 20.0) ** 4)
     assert waiting(own=own, phase=Phase.ENGAGED) == pytest.approx(0.0, abs=1e-12)
@@ -151,7 +151,7 @@ def test_an_engaged_changer_keeps_the_speed_that_it_took_for_the_gap():
 
 
 def test_the_observed_car_following_is_the_one_that_is_driven():
-    """What a waiting agent sees is what it would do in the next step without a second action."""
+    """A waiting agent observes its acceleration of the next step without a second action."""
     features = {"observation": {"features": ["car_following_acceleration", "phase"]}}
     overrides = {
         **features,
@@ -174,7 +174,7 @@ def test_the_observed_car_following_is_the_one_that_is_driven():
     assert compared > 100
 
 
-def test_in_dense_traffic_waiting_drivers_find_gaps_that_nobody_must_brake_hard_for():
+def test_in_dense_traffic_waiting_drivers_find_gaps_without_hard_braking():
     settled = {"max_deviation": 0.2, "max_lateral_speed": 0.25, "max_yaw_rate": 0.03}
     simulator = Simulator("dense", 40, seed=0, overrides={"completion": settled})
     simulator.reset()

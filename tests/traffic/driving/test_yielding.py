@@ -1,4 +1,4 @@
-"""Cooperative followers that move over: when, whereto, how, and that nobody is hit."""
+"""Cooperative followers that move over: conditions, motion, and no collisions."""
 
 import math
 
@@ -82,7 +82,7 @@ STAYS = {
 
 
 @pytest.mark.parametrize("name", STAYS)
-def test_it_stays_where_it_may_not_or_need_not(name):
+def test_it_stays_if_it_may_not_or_need_not_move_over(name):
     fields, staging, others = STAYS[name]
     staging = dict(staging)
     if "completion" in staging:
@@ -94,11 +94,11 @@ def test_it_stays_where_it_may_not_or_need_not(name):
     assert (car["lane"], car["moving_over"]) == (lane, 0)
     assert counted(simulator) == (0, 0)
     if name in ("field off", "no lane beyond", "somebody beside", "somebody fast behind"):
-        # As ever: a gentle braking for the changer.
+        # It brakes gently for the changer, as without moving over.
         assert car["acceleration"] == -2.0
 
 
-def test_who_has_a_command_does_not_move_over():
+def test_a_driver_with_a_command_does_not_move_over():
     simulator = simulator_of()
     car = meet(simulator, {"lane": 3, "position": 400.0})
     command(simulator, 0, 1, Phase.WAITING)
@@ -107,7 +107,7 @@ def test_who_has_a_command_does_not_move_over():
 
 
 def test_it_counts_as_being_in_the_lane_beyond_at_once():
-    """A changer abreast in lane 4, toward lane 3, has to wait; one that comes later follows it."""
+    """A changer beside it in lane 4, toward lane 3, has to wait; one behind follows it."""
     simulator = simulator_of()
     meet(
         simulator,
@@ -122,11 +122,11 @@ def test_it_counts_as_being_in_the_lane_beyond_at_once():
     assert simulator.agents[0, waiting]["target_follower"] == 0
     assert simulator.agents[0, behind]["target_leader"] == 0
     simulator.step()
-    # On a free road it would speed up: it already reckons with the one that moves over.
+    # On a free road it would accelerate: it already follows the vehicle that moves over.
     assert simulator.vehicles[0, 3]["acceleration"] < 0.0
 
 
-def test_of_two_that_could_take_one_gap_the_front_one_does():
+def test_if_two_could_take_one_gap_the_front_one_takes_it():
     simulator = simulator_of(num_lanes=7)
     cooperative = {"disposition": Disposition.COOPERATIVE}
     stage(
@@ -164,7 +164,7 @@ def test_it_settles_in_the_lane_beyond_gently_and_the_move_is_over():
     assert counted(simulator) == (1, 0)
 
 
-def test_it_goes_back_where_the_gap_is_lost_before_the_marking():
+def test_it_goes_back_if_the_gap_becomes_unsafe_before_the_marking():
     simulator = simulator_of()
     car = meet(simulator, {"lane": 3, "position": 60.0, "speed": 20.0}, gap=25.0)
     simulator.step()
@@ -188,7 +188,7 @@ def test_it_does_not_go_back_once_its_body_is_over_the_marking():
     other["position"], other["speed"] = car["position"] - 20.0, 25.0
     simulator.step()
     assert (car["lane"], car["moving_over"]) == (3, 1)
-    # Who comes from behind reacts to the body.
+    # The vehicle behind reacts to the body.
     assert other["acceleration"] == -8.0
     assert counted(simulator) == (1, 0)
 
@@ -226,7 +226,7 @@ def test_while_it_moves_it_follows_the_leaders_of_both_lanes():
 
 
 def steering(simulator):
-    """(E, A, D): a plain steering of all changers at once, sideways at 2 m at most."""
+    """(E, A, D): simple steering of all changers at once; deviations count up to 2 m."""
     actions = np.zeros((*simulator.agents.shape, simulator.num_actions))
     if simulator.num_actions == 2:
         actions[..., 1] = simulator.agents["car_following"]

@@ -1,4 +1,4 @@
-"""Collisions: which rectangles overlap, what is recorded, who leaves."""
+"""Collisions: which rectangles overlap, what is recorded, which vehicles leave."""
 
 import math
 
@@ -66,7 +66,7 @@ def test_touching_is_not_overlapping():
         assert is_overlapping(rear, front, constants) == expected
 
 
-def test_a_rear_end_collision_is_recorded_with_who_and_how():
+def test_a_rear_end_collision_is_recorded_with_vehicles_and_kind():
     simulator = simulator_of()
     stage(
         simulator,
@@ -86,7 +86,7 @@ def test_a_rear_end_collision_is_recorded_with_who_and_how():
     assert record["kind"] == CollisionKind.REAR_END
     assert record["step"] == 1
     assert record["position"] == pytest.approx(100.0 + 0.1 * (30.0 - 0.8))
-    # The one behind brakes at its limit, the one ahead gains 2 m/s^2.
+    # The rear vehicle brakes at its limit, the front one accelerates with 2 m/s^2.
     assert record["closing_speed"] == pytest.approx(29.2 - 1.2, abs=0.01)
     remaining = simulator.vehicles[0]["id"][simulator.vehicles[0]["id"] >= 0]
     assert sorted(remaining.tolist()) == [73, 74]
@@ -96,7 +96,7 @@ def test_a_rear_end_collision_is_recorded_with_who_and_how():
 
 
 @pytest.mark.parametrize("offset", [-2.0, 1.0])
-def test_a_contact_from_abreast_is_a_side_collision(offset):
+def test_a_contact_from_the_side_is_a_side_collision(offset):
     simulator = simulator_of()
     stage(
         simulator,
@@ -148,7 +148,7 @@ def test_the_newest_records_are_kept_and_the_counter_counts_all():
     assert (simulator.state.collisions["rear_id"] == -1).all()
 
 
-def test_a_vehicle_that_leaves_the_road_by_a_collision_has_not_left_off_the_road():
+def test_a_vehicle_that_collides_off_the_road_counts_only_as_collided():
     simulator = simulator_of()
     stage(
         simulator,

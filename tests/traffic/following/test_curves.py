@@ -1,4 +1,4 @@
-"""Drivers slow down for curves: the allowed speed, and what they do about it."""
+"""Drivers slow down for curves: the allowed speed, and how they keep it."""
 
 import math
 
@@ -38,8 +38,8 @@ ROADS = {
 @pytest.mark.parametrize("preview", [0.0, 25.0])
 @pytest.mark.parametrize("lateral", [1.0, 9.0])
 @pytest.mark.parametrize("arcs", ROADS.values(), ids=ROADS.keys())
-def test_the_allowed_speed_is_the_least_over_all_that_lies_ahead(arcs, lateral, preview):
-    """Against a scan of the road every 5 cm."""
+def test_the_allowed_speed_is_the_least_over_all_positions_ahead(arcs, lateral, preview):
+    """Compared with a scan of the road every 5 cm."""
     places = np.arange(0.0, 800.0, 0.05)
     curvature = np.array([curvature_at(arcs, place) for place in places])
     with np.errstate(divide="ignore"):
@@ -54,7 +54,7 @@ def test_the_allowed_speed_is_the_least_over_all_that_lies_ahead(arcs, lateral, 
         if math.isinf(expected):
             assert math.isinf(found) or found > 100.0
             continue
-        # Near an arc's end the scan is coarse: there the curvature goes to 0.
+        # Near an arc's end the scan is too coarse, because the curvature goes to 0 there.
         assert found <= expected * (1.0 + 1e-9)
         assert found == pytest.approx(expected, rel=2e-3 if expected < 60.0 else 0.1)
         checked += 1
@@ -62,7 +62,7 @@ def test_the_allowed_speed_is_the_least_over_all_that_lies_ahead(arcs, lateral, 
 
 
 def drive(arcs, profile="normal", num_steps=700, scenario="paper", **overrides):
-    """Rows (position, lateral position, speed, acceleration, yaw rate) of every vehicle alone."""
+    """Rows (position, lateral position, speed, acceleration, yaw rate) of every single vehicle."""
     given = FREE | {"road": {"arcs": arcs}, "drivers": {"mix": {profile: 1.0}}} | overrides
     simulator = Simulator(scenario, seed=3, overrides=given)
     simulator.reset()
@@ -91,7 +91,7 @@ def test_a_driver_brakes_comfortably_and_takes_the_curve_at_its_speed(profile, r
         is_in_middle = (position > 400.0 + transition) & (position < 600.0 - transition)
         found = speed[is_in_middle] ** 2 / path[is_in_middle]
         found_speed = speed[is_in_middle][-1]
-        # It takes the whole of what is comfortable, and no more but for the last of the braking.
+        # It uses the comfortable value fully, and hardly more, only at the end of the braking.
         assert found.max() < 1.05 * lateral
         assert found[-1] == pytest.approx(lateral, rel=0.01)
         # The path of an inner lane is shorter than the road.
@@ -102,7 +102,7 @@ def test_a_driver_brakes_comfortably_and_takes_the_curve_at_its_speed(profile, r
 
 
 def test_a_slow_driver_and_a_wide_curve_change_nothing():
-    """At 30 m/s a radius of 500 m asks for 1.8 m/s^2."""
+    """At 30 m/s a radius of 500 m needs a lateral acceleration of 1.8 m/s^2."""
     arcs = [{"start": 400.0, "end": 600.0, "radius": 500.0}]
     bent, straight = drive(arcs), drive([])
     assert len(bent) == len(straight) > 1
@@ -117,14 +117,14 @@ def test_vehicles_enter_a_curve_at_its_speed():
     for rows in drive(arcs, departures=departures):
         _, lateral, speed, _, yaw_rate = rows[0]
         assert speed**2 / (50.0 - lateral) == pytest.approx(2.0)
-        # It turns with the road from its first moment on.
+        # It turns with the road from the beginning.
         assert yaw_rate == pytest.approx(speed / (50.0 - lateral))
         assert np.abs(rows[:80, 1] - lateral).max() < 1e-9
 
 
 @pytest.mark.parametrize("scenario", ["curved", "interactive"])
-def test_second_actions_and_adversarial_drivers_are_held_to_the_curve(scenario):
-    """Full throttle in dense adversarial traffic; who steers keeps to the road."""
+def test_second_actions_and_adversarial_drivers_keep_the_speed_in_curves(scenario):
+    """All second actions are 2 m/s^2, among adversarial followers."""
     arcs = [{"start": 200.0, "end": 700.0, "radius": 100.0}]
     simulator = Simulator(
         scenario,
@@ -154,8 +154,8 @@ def test_second_actions_and_adversarial_drivers_are_held_to_the_curve(scenario):
     assert 1.9 < largest < 2.2
 
 
-def test_an_unguarded_follower_is_free_to_leave_the_road():
-    """The guard of the others holds the same policy on it."""
+def test_an_unguarded_follower_may_drive_too_fast_in_a_curve():
+    """With the guard the same policy keeps the speed in curves."""
     arcs = [{"start": 200.0, "end": 900.0, "radius": 50.0}]
 
     def lost(is_guarded):

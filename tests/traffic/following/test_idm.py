@@ -66,18 +66,18 @@ def test_contact_gives_a_finite_huge_term(gap):
 @pytest.mark.parametrize(
     ("speed", "gap", "front_speed", "front_acceleration", "expected"),
     [
-        # Equal speeds, a steady leader: nothing need be done.
+        # Equal speeds, a leader with constant speed: 0.
         (20.0, 10.0, 20.0, 0.0, 0.0),
-        # Closing with 5 m/s at 25 m: 25/50.
+        # Closing at 5 m/s, gap 25 m: -25/50.
         (20.0, 25.0, 15.0, 0.0, -0.5),
-        # A leader that brakes with 4 m/s^2 from 15 m/s: 15 * 5 <= 2 * 25 * 4, both come to a stand,
+        # A leader that brakes with 4 m/s^2 from 15 m/s: 15 * 5 <= 2 * 25 * 4, both stop,
         # 20^2 * -4/(15^2 + 2 * 25 * 4).
         (20.0, 25.0, 15.0, -4.0, -1600.0 / 425.0),
-        # It brakes too mildly for that: 15 * 5 > 2 * 25 * 1; -1 - 25/50.
+        # It brakes too little for that: 15 * 5 > 2 * 25 * 1; -1 - 25/50.
         (20.0, 25.0, 15.0, -1.0, -1.5),
-        # Its acceleration counts up to the own a_m = 2.
+        # Its acceleration counts up to the driver's own a_m = 2.
         (20.0, 25.0, 20.0, 3.0, 2.0),
-        # It stands, and stays there: v^2/(2 s).
+        # It remains at a standstill: -v^2/(2 s).
         (20.0, 50.0, 0.0, 0.0, -4.0),
         (0.0, 5.0, 0.0, 0.0, 0.0),
         (0.0, 5.0, 0.0, -2.0, 0.0),
@@ -91,7 +91,7 @@ def test_the_constant_acceleration_heuristic_by_hand(
 
 
 def test_the_acc_model_by_hand():
-    # The IDM is the milder one: it stays.
+    # The IDM brakes less: its value is used.
     assert acc_acceleration(-1.0, -2.0, 1.5, 0.99) == -1.0
     # 0.01 * -10 + 0.99 (-0.5 + 1.5 tanh(-9.5/1.5))
     assert acc_acceleration(-10.0, -0.5, 1.5, 0.99) == pytest.approx(-2.0799906, abs=1e-6)
@@ -99,7 +99,7 @@ def test_the_acc_model_by_hand():
 
 
 def cut_in(form, **more):
-    """Acceleration at 25 m/s, 12 m behind a leader as fast, by the law."""
+    """Accelerations by a law at 25 m/s, 12 m behind a leader at the same speed: both cars."""
     drivers = {"drivers": {"car_following": form, **more}, "warmup": [0.0, 0.0]}
     simulator = Simulator("paper", overrides=drivers)
     simulator.reset()
@@ -113,7 +113,7 @@ def cut_in(form, **more):
     return simulator.vehicles[0]["acceleration"][:2].tolist()
 
 
-def test_after_a_cut_in_the_acc_model_brakes_milder_than_the_idm():
+def test_after_a_cut_in_the_acc_model_brakes_less_than_the_idm():
     following, leading = cut_in("acc")
     # The leader at its desired speed keeps it: a_CAH = 0.
     assert leading == pytest.approx(0.0, abs=1e-12)
@@ -123,8 +123,8 @@ def test_after_a_cut_in_the_acc_model_brakes_milder_than_the_idm():
     assert cut_in("acc", coolness=0.0)[0] == -8.0
 
 
-def test_the_acc_model_looks_at_the_leaders_acceleration_of_the_same_step():
-    """A leader that brakes from this step on: last step's acceleration was 0."""
+def test_the_acc_model_uses_the_leaders_acceleration_of_the_same_step():
+    """The leader begins to brake in this step: its last acceleration was 0."""
     drivers = {"drivers": {"car_following": "acc"}, "warmup": [0.0, 0.0]}
     simulator = Simulator("paper", overrides=drivers)
     simulator.reset()
@@ -145,7 +145,7 @@ def test_the_acc_model_looks_at_the_leaders_acceleration_of_the_same_step():
     assert first == pytest.approx(expected)
 
 
-def test_an_accelerating_leader_drags_nobody_beyond_the_desired_speed():
+def test_behind_an_accelerating_leader_the_desired_speed_is_not_exceeded():
     drivers = {"drivers": {"car_following": "acc"}, "warmup": [0.0, 0.0]}
     simulator = Simulator("paper", overrides=drivers)
     simulator.reset()

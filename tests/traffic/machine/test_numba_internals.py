@@ -1,4 +1,4 @@
-"""The kernel cache, whatever happens to it, and numba without the names it does not promise."""
+"""The kernel cache, also when it is damaged, and numba without its private names."""
 
 import os
 import shutil
@@ -47,7 +47,7 @@ def code(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def filled(code, tmp_path_factory):
-    """A cache that holds them."""
+    """A cache that holds these kernels."""
     cache = tmp_path_factory.mktemp("filled")
     assert run(code, cache) == ("4.0 0", "")
     return cache
@@ -55,12 +55,12 @@ def filled(code, tmp_path_factory):
 
 @pytest.fixture
 def cache(filled, tmp_path):
-    """A copy of it."""
+    """A copy of the filled cache."""
     return shutil.copytree(filled, tmp_path / "cache")
 
 
 def run(code, cache, before="", **environment):
-    """What a new process that calls the kernel prints: its value, kernels found; and errors."""
+    """Output of a new process that calls the kernel: value, number of cache hits; and stderr."""
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", f"{before}\n{PROGRAM}"],
         env=os.environ
@@ -78,6 +78,7 @@ def test_a_kept_kernel_is_found(code, cache):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize(
     "damage",
@@ -87,14 +88,15 @@ def test_a_kept_kernel_is_found(code, cache):
     ],
     ids=["empty", "cut"],
 )
-def test_a_damaged_file_is_a_miss_and_is_mended(code, cache, suffix, damage):
+def test_a_damaged_file_is_a_miss_and_is_replaced(code, cache, suffix, damage):
     (path,) = cache.rglob(f"*.{suffix}")
     path.write_bytes(damage(path.read_bytes()))
     assert run(code, cache) == ("4.0 0", "")
     assert run(code, cache) == ("4.0 1", "")
 
 
-def test_zeros_amid_the_code_are_a_miss(code, cache):
+@pytest.mark.slow
+def test_zeros_within_the_code_are_a_miss(code, cache):
     (path,) = cache.rglob("*.nbc")
     content = bytearray(path.read_bytes())
     start = content.index(b"\x7fELF") + 64
@@ -104,6 +106,7 @@ def test_zeros_amid_the_code_are_a_miss(code, cache):
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "other",
     [
@@ -112,14 +115,15 @@ def test_zeros_amid_the_code_are_a_miss(code, cache):
     ],
     ids=["numba", "sources"],
 )
-def test_what_others_have_kept_is_a_miss(code, cache, other):
+def test_a_kernel_of_another_version_is_a_miss(code, cache, other):
     assert run(code, cache, other) == ("4.0 0", "")
     assert run(code, cache) == ("4.0 0", "")
     assert run(code, cache) == ("4.0 1", "")
 
 
+@pytest.mark.slow
 def test_a_full_disk(code, tmp_path):
-    # Enough for the index, too little for the code: the index then lists what is not there.
+    # Enough for the index but not for the code: the index then lists a missing file.
     full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))"
     message = "compiled kernels are not kept on disk: File too large"
     assert run(code, tmp_path, full) == ("4.0 0", message)
@@ -129,7 +133,8 @@ def test_a_full_disk(code, tmp_path):
     assert run(code, tmp_path) == ("4.0 1", "")
 
 
-def test_nowhere_to_write(tmp_path):
+@pytest.mark.slow
+def test_without_a_writable_folder(tmp_path):
     (tmp_path / "tiny.py").write_text(TINY)
     file = tmp_path / "__pycache__"
     file.write_text("")
@@ -142,6 +147,7 @@ def test_nowhere_to_write(tmp_path):
     assert run(tmp_path, below, **home) == ("4.0 0", message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -151,8 +157,8 @@ def test_nowhere_to_write(tmp_path):
         "FunctionCache._impl_class",
     ],
 )
-def test_a_numba_without_the_cache_that_is_known(code, tmp_path, name):
-    # Another module of numba imports it by its name.
+def test_a_numba_without_the_known_cache(code, tmp_path, name):
+    # ccallback imports the name from caching, so it must be loaded before.
     before = f"from numba.core import caching, ccallback; del caching.{name}"
     if name.endswith("_impl_class"):
         before += "; del caching.Cache._impl_class"
@@ -163,6 +169,7 @@ def test_a_numba_without_the_cache_that_is_known(code, tmp_path, name):
     assert not list(tmp_path.rglob("*.nb?"))
 
 
+@pytest.mark.slow
 def test_a_numba_without_the_options_that_save_time(code, tmp_path):
     assert run(code, tmp_path, GONE_OPTIONS) == ("4.0 0", "")
 
@@ -171,7 +178,7 @@ def test_options_that_numba_does_not_have_are_left_out():
     assert numba_internals.known_options(_nrt=False, quickly=True) == {"_nrt": False}
 
 
-def test_scipy_is_looked_for_and_not_imported(monkeypatch):
+def test_scipy_is_not_imported_to_check_for_it(monkeypatch):
     asked = []
     module = types.SimpleNamespace(ensure_blas=lambda: asked.append("numba's own"))
     monkeypatch.setitem(sys.modules, "numba.np.linalg", module)

@@ -21,7 +21,7 @@ def test_lane_keeping_holds_the_centre_through_an_arc(radius):
         cars = simulator.vehicles[simulator.vehicles["id"] >= 0]
         error = np.abs(cars["lateral_position"] - 3.75 * (cars["lane"] + 0.5))
         largest = max(largest, error.max())
-        # Seven seconds at 33 m/s after the arc has begun.
+        # Seven seconds at 33 m/s after the beginning of the arc.
         is_far_in = (cars["position"] > 400.0) & (cars["position"] < 850.0)
         settled = max(settled, error[is_far_in].max(initial=0.0))
     assert 0.05 < largest < 0.25

@@ -41,8 +41,8 @@ def test_the_yaw_rate_is_bounded_by_the_turning_radius():
         assert car["yaw_acceleration"] == pytest.approx(sign * (2.0 / 5.5 - 0.1) / 0.1)
 
 
-def test_what_a_vehicle_reports_is_what_it_did():
-    """(after - before)/dt, of speed and of yaw rate, stopping and standing included."""
+def test_accelerations_in_the_state_are_those_applied():
+    """(after - before)/dt of speed and of yaw rate, also while stopping and at a standstill."""
     simulator = Simulator("interactive", 4, seed=2, overrides={"num_agents": None, "horizon": None})
     generator = np.random.default_rng(2)
     simulator.reset()
@@ -61,8 +61,8 @@ def test_what_a_vehicle_reports_is_what_it_did():
     assert num_asked_for_more > 100
 
 
-def test_asking_for_more_than_can_be_is_not_paid():
-    """A standing changer that goes on braking drives, sees and earns what one does that rests."""
+def test_braking_at_a_standstill_has_no_effect():
+    """At a standstill a changer that brakes and one with action 0 have the same state."""
     ends = []
     for wanted in (-3.0, 0.0):
         simulator = Simulator(
@@ -77,12 +77,12 @@ def test_asking_for_more_than_can_be_is_not_paid():
         car = simulator.vehicles[0, simulator.agents[0, slot]["vehicle"]]
         assert car["speed"] == car["acceleration"] == 0.0
         ends.append(simulator.snapshot())
-        # Nobody ahead lets it stand: car following alone would drive on.
+        # No leader makes it stop: car following would drive on.
         assert simulator.agents[0, slot]["car_following"] > 0.0
     assert ends[0] == ends[1]
 
 
-def test_car_following_asks_of_a_standing_driver_to_stand():
+def test_car_following_behind_a_stopped_leader_keeps_the_driver_stopped():
     simulator = Simulator("interactive", overrides={"warmup": [0.0, 0.0]})
     simulator.reset()
     stage(
@@ -100,11 +100,11 @@ def test_car_following_asks_of_a_standing_driver_to_stand():
 
 @pytest.mark.parametrize("radius", [150.0, -150.0, 1e9])
 def test_the_road_frame_agrees_with_the_plane(radius):
-    """The same yaw rates integrated in Cartesian coordinates lead to the same place."""
+    """The same yaw rates integrated in Cartesian coordinates give the same position."""
     step = 0.01
     simulator = one_arc(radius, time_step=step)
     car = place(simulator, lateral_position=3.0, speed=15.0, yaw_rate=15.0 / radius)
-    # The centre of the right edge's circle is the origin; the vehicle begins on the y axis.
+    # The origin is the centre of the right edge's circle; the vehicle begins on the y axis.
     x, y, heading = 0.0, 3.0 - radius, 0.0
     for count in range(600):
         car["yaw_acceleration"] = 0.1 * math.sin(0.01 * count)
@@ -122,7 +122,7 @@ def test_the_road_frame_agrees_with_the_plane(radius):
 
 @pytest.mark.parametrize("radius", [60.0, 500.0])
 def test_mirrored_arcs_give_mirrored_motion(radius):
-    """Lane 0 on the left of an edge and lane -1 on its right are mirror images."""
+    """Lane 0 to the left of the edge and lane -1 to its right are mirror images."""
     left, right = one_arc(radius), one_arc(-radius)
     car = place(left, yaw=0.02, yaw_rate=-0.01, lateral_position=2.2)
     image = place(right, yaw=-0.02, yaw_rate=0.01, lateral_position=-2.2, lane=-1)

@@ -1,4 +1,4 @@
-"""A role is one definition: what follows from its rows."""
+"""A role is one definition: everything follows from its rows."""
 
 import copy
 import pickle
@@ -70,7 +70,7 @@ def test_features_are_written_in_the_order_of_their_codes():
     assert seen.tolist() == [3.0, 15.0, 8.0, 15.0]
 
 
-def test_terms_are_weighed_summed_and_added_up_over_time():
+def test_terms_are_weighted_summed_and_added_up_over_time():
     terms = (
         Term("a", "w", "1", "", lambda w, x: w * x),
         Term("b", "w", "1", "", lambda w, x: -w * x * x),
