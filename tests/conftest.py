@@ -64,3 +64,11 @@ def two_nodes():
 
     with two_nodes() as address:
         yield address
+
+
+@pytest.fixture
+def policy_file(tmp_path):
+    """A checkpoint of a changers' network."""
+    from checkpoints import save_trained
+
+    return save_trained(tmp_path / "policy.pt")

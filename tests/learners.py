@@ -5,6 +5,7 @@ from pathlib import Path
 
 import torch
 from collecting import BUSY
+from tensordict import TensorDict
 
 from marl_lanes import LaneChangeEnv
 from marl_lanes.traffic.roles.follower import FOLLOWER
@@ -83,3 +84,24 @@ def rows(path):
 def tables(folder):
     names = ("metrics.csv", "maneuvers.csv", "evaluations.csv")
     return {name: (folder / name).read_bytes() for name in names}
+
+
+def filled(folder, *options):
+    """A learner with transitions in its replay buffer."""
+    learner = changers(*options)
+    learner.begin(folder)
+    generator = torch.Generator().manual_seed(3)
+
+    def draw(*shape):
+        return torch.randn(shape, generator=generator)
+
+    ends = {key: draw(200, 1) > 1.5 for key in ("done", "terminated", "truncated")}
+    following = TensorDict({"observation": draw(200, 6), "reward": draw(200, 1), **ends}, [200])
+    rows = {"observation": draw(200, 6), "action": draw(200, 1) * 0.1, "next": following}
+    learner.replay.extend(TensorDict(rows, [200]))
+    return learner
+
+
+def weights_of(learner):
+    """A copy of the networks' weights."""
+    return {key: value.clone() for key, value in learner.algorithm.loss.state_dict().items()}

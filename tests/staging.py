@@ -1,4 +1,4 @@
-"""Traffic that tests place by hand, and a simple steering policy."""
+"""Traffic that tests place by hand, a simple steering policy, and what every traffic keeps."""
 
 import math
 
@@ -41,6 +41,13 @@ def rows_of(table):
     names = table.dtype.names
     columns = [table[name].tolist() for name in names]
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def simulator_of(**overrides):
+    """A simulator of the paper's scenario with an empty road."""
+    simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], **overrides})
+    simulator.reset()
+    return simulator
 
 
 def stage(simulator, *cars, env=0):
@@ -117,3 +124,22 @@ def advance(simulator, car, *, is_keeping=True):
     if is_keeping:
         car["yaw_acceleration"] = keep_lane(car, turn_rate, constants)
     integrate(car, turn_rate, arcs, constants)
+
+
+def present(simulator):
+    """(E, V): slots that hold a vehicle."""
+    return simulator.vehicles["id"] >= 0
+
+
+def assert_conserved(simulator):
+    """Assert that no vehicle is lost or made, and that the order has each one once."""
+    roads = simulator.roads
+    gone = roads["num_left"] + roads["num_collided"]
+    assert (roads["num_entered"] == roads["num_vehicles"] + gone).all()
+    assert (present(simulator).sum(axis=1) == roads["num_vehicles"]).all()
+    assert (roads["num_off_road"] <= roads["num_left"]).all()
+    for env, count in enumerate(roads["num_vehicles"].tolist()):
+        order = simulator.state.order[env, :count]
+        assert len(set(order.tolist())) == count
+        assert (simulator.vehicles[env, order]["id"] >= 0).all()
+        assert (np.diff(simulator.vehicles[env, order]["position"]) <= 0.0).all()

@@ -20,6 +20,11 @@ FOLDERS = ["agents", "benchmarks", "docs", "marl_lanes", "scenarios", "tests"]
 FILES = [".ci/run", "LICENSE", "Makefile", "README.md", "constraints.txt", "pyproject.toml"]
 MAX_LINES = 420
 
+UNTESTED = {
+    "training/algorithms/algorithm.py": "the interface of the algorithms, without code",
+}
+"""Modules without a test file of their name, and why."""
+
 # Split, so that this file does not match.
 FORBIDDEN = re.compile(
     "|".join(
@@ -128,6 +133,27 @@ def test_no_file_of_the_package_is_too_long():
     }
     assert len(lengths) > 20
     assert {name: count for name, count in lengths.items() if count > MAX_LINES} == {}
+
+
+def test_every_module_has_the_test_file_of_its_name():
+    package = ROOT / "marl_lanes"
+    modules = {path.relative_to(package) for path in package.rglob("*.py")}
+    modules = {path for path in modules if path.name != "__init__.py"}
+    assert len(modules) > 70
+    missing = {
+        path.as_posix()
+        for path in modules
+        if not (ROOT / "tests" / path.with_name(f"test_{path.name}")).is_file()
+    }
+    assert missing == set(UNTESTED)
+
+
+def test_every_folder_of_tests_is_a_folder_of_the_package():
+    folders = {path.parent for path in (ROOT / "tests").rglob("*.py")} - {ROOT / "tests"}
+    # The programs have their tests, too.
+    names = {path.relative_to(ROOT / "tests").as_posix() for path in folders} - {"agents"}
+    assert len(names) > 5
+    assert {name for name in names if not (ROOT / "marl_lanes" / name).is_dir()} == set()
 
 
 def test_no_file_names_a_machine_or_a_registry():

@@ -4,77 +4,29 @@ import math
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
-from scipy.optimize import linprog
+from optima import (
+    LANE_WIDTH,
+    PASSING,
+    PROFILES,
+    ROADS,
+    SETTLED,
+    curved_start,
+    lane_change,
+    primal_cost,
+    replay_of,
+    scenario_of,
+)
 
 from marl_lanes.evaluation import optimum as module
-from marl_lanes.evaluation.measures import STEERING_COSTS
-from marl_lanes.evaluation.optimum import Optimum, optimal_lane_change
-from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE, Replay
-from marl_lanes.evaluation.simplex import minimise
-from marl_lanes.scenario import Scenario, load_scenario
-from marl_lanes.traffic.machine.state import Outcome
-from marl_lanes.traffic.parameters import make_parameters
-from marl_lanes.traffic.road.geometry import curvature_at
-from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.evaluation.optimum import optimal_lane_change
+from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE
+from marl_lanes.scenario import Scenario
 
-TIME_STEP = 0.1
-LANE_WIDTH = 3.75
-PASSING = {"max_deviation": 0.2, "max_lateral_speed": None, "max_yaw_rate": None}
-SETTLED = {"max_deviation": 0.2, "max_lateral_speed": 0.25, "max_yaw_rate": 0.03}
 ENDS = pytest.mark.parametrize("completion", [PASSING, SETTLED], ids=["passing", "settled"])
 
-PROFILES = {
-    "constant": np.full(36, 18.0),
-    "accelerating": np.linspace(12.0, 20.0, 40),
-    "decelerating": np.linspace(28.0, 14.0, 30),
-    "braking then accelerating": 20.0 + np.abs(np.linspace(-4.0, 4.0, 45)),
-}
 SPEEDS = pytest.mark.parametrize("profile", PROFILES.values(), ids=PROFILES.keys())
 
-ROADS = {
-    "straight": [],
-    "wide": [{"start": 150.0, "end": 450.0, "radius": 500.0, "transition": 100.0}],
-    "right": [{"start": 150.0, "end": 450.0, "radius": -100.0, "transition": 50.0}],
-    "sharp": [{"start": 120.0, "end": 300.0, "radius": 50.0, "transition": 60.0}],
-    "step": [{"start": 160.0, "end": 300.0, "radius": -120.0, "transition": 0.0}],
-    "s": [
-        {"start": 130.0, "end": 190.0, "radius": 100.0, "transition": 30.0},
-        {"start": 190.0, "end": 260.0, "radius": -100.0, "transition": 30.0},
-    ],
-}
 CURVES = pytest.mark.parametrize("arcs", ROADS.values(), ids=ROADS.keys())
-
-
-def scenario_of(completion=SETTLED, arcs=(), **overrides) -> Scenario:
-    given = {"completion": completion, "road": {"arcs": list(arcs)}, **overrides}
-    return load_scenario("paper", given)
-
-
-def lane_change(speed, completion=SETTLED, **changes) -> Optimum:
-    """On a straight road, one lane away, without yaw and yaw rate, except for the changes."""
-    fields = {name: changes.pop(name) for name in ("reward", "action") if name in changes}
-    start = {"deviation": LANE_WIDTH} | changes
-    return optimal_lane_change(scenario_of(completion, **fields), speed, **start)
-
-
-def curved_start(scenario: Scenario, *, speed: float, position: float, direction: int) -> dict:
-    """In the middle lane, turning with the road."""
-    lateral = 1.5 * LANE_WIDTH
-    curvature = curvature_at(make_parameters(scenario).arcs, position)
-    return {
-        "deviation": LANE_WIDTH,
-        "yaw_rate": direction * curvature * speed / (1.0 - curvature * lateral),
-        "direction": direction,
-        "position": position,
-        "lateral_position": lateral,
-    }
-
-
-def replay_of(scenario: Scenario, speed: np.ndarray, start: dict) -> Replay:
-    whole = {"initial_speed": float(speed[0]), "yaw": 0.0} | start
-    return Replay(make_parameters(scenario), speed, **whole)
 
 
 def cost_until_completed(scenario: Scenario, actions: np.ndarray, known: np.ndarray) -> float:
@@ -88,44 +40,6 @@ def cost_until_completed(scenario: Scenario, actions: np.ndarray, known: np.ndar
     n = int(np.argmax(is_there)) + 1
     terms = 2.0 * np.abs(actions) + 0.5 * np.abs(known[YAW_RATE])
     return float((terms + 0.05 * np.abs(known[DEVIATION]) / 1.875)[:n].sum())
-
-
-def primal_cost(
-    speed: np.ndarray, num_steps: int, completion: dict, max_yaw_acceleration: float = 0.5
-) -> float:
-    """Oracle for small angles: states as variables, each cost term split into two parts >= 0."""
-    n = num_steps
-    v = np.append(speed, np.full(max(0, n - speed.size), speed[-1]))[:n]
-    identity = sp.identity(n, format="csr")
-    difference = identity - sp.eye(n, k=-1, format="csr")
-    # Columns: action, yaw rate and deviation, each as +part, -part; then yaw.
-    rows = [
-        [-TIME_STEP * identity, TIME_STEP * identity, difference, -difference, None, None, None],
-        [None, None, -TIME_STEP * identity, TIME_STEP * identity, None, None, difference],
-        [None, None, None, None, difference, -difference, sp.diags(TIME_STEP * v)],
-    ]
-    target = np.zeros(3 * n)
-    target[2 * n] = LANE_WIDTH
-    lower, upper = np.zeros(7 * n), np.full(7 * n, np.inf)
-    lower[6 * n :] = -np.inf
-    upper[: 2 * n] = max_yaw_acceleration
-    upper[[5 * n - 1, 6 * n - 1]] = completion["max_deviation"]
-    if completion["max_lateral_speed"] is not None:
-        upper[-1] = completion["max_lateral_speed"] / v[-1]
-        lower[-1] = -upper[-1]
-    if completion["max_yaw_rate"] is not None:
-        upper[[3 * n - 1, 4 * n - 1]] = completion["max_yaw_rate"]
-    weights = np.repeat([2.0, 0.5, 0.05 / 1.875, 0.0], [2 * n, 2 * n, 2 * n, n])
-    result = linprog(
-        weights,
-        A_eq=sp.bmat(rows, format="csc"),
-        b_eq=target,
-        bounds=np.column_stack([lower, upper]),
-        method="highs-ds",
-        options={"presolve": False},
-    )
-    assert result.status in {0, 2}
-    return float(result.fun) if result.status == 0 else math.inf
 
 
 @pytest.mark.parametrize(
@@ -193,79 +107,6 @@ def test_binding_action_bound():
     assert np.abs(optimum.yaw_acceleration).max() == pytest.approx(0.15, abs=1e-9)
     assert optimum.total_return == pytest.approx(-min(costs.values()), rel=1e-3)
     assert optimum.total_return < lane_change(speed, PASSING).total_return - 1e-3
-
-
-# The simulator
-
-
-def alone_and_engaged(speed, desired, arcs, seed):
-    """A simulator with one engaged changer and no vehicle near it."""
-    fixed = {
-        "departures": {
-            "interval": [300.0, 300.0],
-            "initial_speed": [speed, speed],
-            "desired_speed": [desired, desired],
-        },
-        "command": {"probability": 1.0, "position": [100.0, 100.0]},
-        "warmup": [0.0, 0.0],
-    }
-    simulator = Simulator(scenario_of(arcs=arcs, **fixed), seed=seed)
-    simulator.reset()
-    while not simulator.is_steering.any():
-        simulator.step()
-    return simulator
-
-
-def drive(simulator, actions):
-    """Sum of rewards, steps and outcome of the actions, then of zeros."""
-    total, given = 0.0, np.zeros((1, simulator.num_slots, 1))
-    slot = int(np.argmax(simulator.is_steering[0]))
-    for step in range(400):
-        given[:] = actions[step] if step < len(actions) else 0.0
-        simulator.step(given)
-        agent = simulator.agents[0, slot]
-        total += sum(CHANGER.terms_of(agent)[f"reward_{x}"] for x in STEERING_COSTS)
-        if agent["outcome"] != Outcome.UNFINISHED:
-            return total, step + 1, Outcome(int(agent["outcome"]))
-    raise AssertionError("the command does not end")
-
-
-DRIVEN = [(name, 8.5, 8.5) for name in ROADS]
-DRIVEN += [("straight", 28.0, 28.0), ("straight", 8.0, 25.0), ("wide", 25.0, 25.0)]
-DRIVEN += [("right", 13.0, 13.0), ("step", 13.0, 13.0)]
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize(("road", "initial", "desired"), DRIVEN)
-def test_the_actions_complete_in_the_simulator_at_the_cost_that_is_claimed(
-    road, initial, desired, seed
-):
-    simulator = alone_and_engaged(initial, desired, ROADS[road], seed)
-    agent = simulator.agents[0][simulator.is_steering[0]][0]
-    car = simulator.vehicles[0, agent["vehicle"]]
-    sign, centre = int(agent["direction"]), (agent["target_lane"] + 0.5) * LANE_WIDTH
-    start = {
-        "deviation": sign * float(centre - car["lateral_position"]),
-        "yaw": sign * float(car["yaw"]),
-        "yaw_rate": sign * float(car["yaw_rate"]),
-        "direction": sign,
-        "initial_speed": float(car["speed"]),
-        "position": float(car["position"]),
-        "lateral_position": float(car["lateral_position"]),
-    }
-    speed = np.full(120, initial)
-    if initial != desired:
-        state = simulator.snapshot()
-        for k in range(120):
-            simulator.step()
-            speed[k] = car["speed"]
-        assert speed[-1] > initial + 5.0
-        simulator.restore(state)
-    optimum = optimal_lane_change(simulator.scenario, speed, **start)
-    total, num_steps, outcome = drive(simulator, optimum.yaw_acceleration)
-    assert outcome == Outcome.COMPLETED
-    assert num_steps == optimum.num_steps
-    assert total == pytest.approx(optimum.total_return, rel=1e-9)
 
 
 # Searches for a better one
@@ -356,34 +197,6 @@ def test_other_beginnings_of_the_search_end_no_lower(arcs, direction):
         num_found += 1
         assert found.total_return <= optimum.total_return + 3e-6 * abs(optimum.total_return)
     assert num_found >= 10
-
-
-def test_the_simplex_method_finds_what_linprog_finds():
-    """Random sums of |x| with bounds, feasible by construction or infeasible."""
-    rng = np.random.default_rng(3)
-    num_infeasible = 0
-    for _ in range(60):
-        n, m = int(rng.integers(1, 12)), int(rng.integers(1, 20))
-        response = rng.standard_normal((m, n))
-        free = rng.standard_normal(m) * rng.integers(0, 2, m)
-        weights = rng.uniform(0.0, 2.0, n + m) * rng.integers(0, 2, n + m)
-        bounds = np.where(rng.random(n + m) < 0.4, rng.uniform(0.1, 1.5, n + m), np.inf)
-        found = minimise(free, response, weights, bounds)
-        values = np.abs(np.concatenate([found, free + response @ found]))
-        # |x| <= u: the unknowns are a, then u.
-        rows = np.vstack([np.eye(n), response])
-        both = np.block([[rows, -np.eye(n + m)], [-rows, -np.eye(n + m)]])
-        offset = np.concatenate([np.zeros(n), free])
-        limits = [(None, None)] * n + [(0.0, bound) for bound in bounds]
-        given = np.concatenate([np.zeros(n), weights])
-        expected = linprog(given, A_ub=both, b_ub=np.concatenate([-offset, offset]), bounds=limits)
-        if expected.status == 2:
-            num_infeasible += 1
-            assert (values > bounds + 1e-6).any()
-        else:
-            assert (values <= bounds + 1e-7).all()
-            assert weights @ values == pytest.approx(expected.fun, rel=1e-7, abs=1e-7)
-    assert 5 < num_infeasible < 55
 
 
 # Symmetries and limits

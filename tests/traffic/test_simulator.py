@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from staging import command, damped_actions, stage
 
-from marl_lanes.traffic.machine import state as tables
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.simulator import Simulator
 
@@ -231,17 +230,6 @@ def test_the_masks_show_live_steering_and_ended_agents():
         assert not simulator.state.observations[~live & ~over].any()
         seen |= [live.any(), engaged.any(), over.any()]
     assert seen.all()
-
-
-@pytest.mark.parametrize("name", ["VEHICLE", "AGENT", "FOLLOWER", "ROAD", "LANE", "COLLISION"])
-def test_every_quantity_of_the_state_has_a_unit_and_a_meaning(name):
-    table = getattr(tables, name)
-    assert len({row[0] for row in table}) == len(table)
-    for field, kind, unit, meaning in table:
-        assert field.islower()
-        assert np.dtype(kind.removeprefix("(T,)")).itemsize in (4, 8)
-        assert unit in {"m", "m/s", "m/s^2", "rad", "rad/s", "rad/s^2", "s", "1", "lane", "step"}
-        assert len(meaning) > 3
 
 
 ROLLOUT = """

@@ -1,32 +1,14 @@
-"""Traffic: entering, leaving, conservation of vehicles, no collisions without actions."""
+"""Traffic: conservation of vehicles, no collisions without actions."""
 
 import numpy as np
 import pytest
-from staging import damped_actions
+from staging import assert_conserved, damped_actions, present
 
 from marl_lanes.scenario import list_scenarios
 from marl_lanes.traffic.simulator import Simulator
 
 NO_COMMANDS = {"command": {"probability": 0.0}}
 OPEN_GAP = {"gap": {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 100.0}}
-
-
-def present(simulator):
-    """(E, V): slots that hold a vehicle."""
-    return simulator.vehicles["id"] >= 0
-
-
-def assert_conserved(simulator):
-    roads = simulator.roads
-    gone = roads["num_left"] + roads["num_collided"]
-    assert (roads["num_entered"] == roads["num_vehicles"] + gone).all()
-    assert (present(simulator).sum(axis=1) == roads["num_vehicles"]).all()
-    assert (roads["num_off_road"] <= roads["num_left"]).all()
-    for env, count in enumerate(roads["num_vehicles"].tolist()):
-        order = simulator.state.order[env, :count]
-        assert len(set(order.tolist())) == count
-        assert (simulator.vehicles[env, order]["id"] >= 0).all()
-        assert (np.diff(simulator.vehicles[env, order]["position"]) <= 0.0).all()
 
 
 @pytest.mark.parametrize("name", ["paper", "dense"])
@@ -94,104 +76,3 @@ def test_vehicles_are_conserved_when_they_collide(bias):
     assert simulator.roads["num_collided"].sum() > 0
     # A vehicle collides once, with one other or with several.
     assert (simulator.roads["num_collided"] <= 2 * simulator.roads["num_collisions"]).all()
-
-
-def test_a_departure_waits_for_room():
-    """In a queue at the road's entrance an entering vehicle keeps at least s0 to its leader."""
-    overrides = {
-        **NO_COMMANDS,
-        "departures": {"interval": [0.5, 1.0], "initial_speed": [4.0, 30.0]},
-        "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
-    }
-    simulator = Simulator("dense", 8, seed=2, overrides=overrides)
-    simulator.reset()
-    was_late = 0
-    for _ in range(600):
-        entered_before = simulator.roads["num_entered"].copy()
-        simulator.step()
-        now = simulator.roads["step"] * 0.1
-        was_late += int((simulator.state.lanes["next_departure"] < now[:, None] - 0.05).sum())
-        for env in np.flatnonzero(simulator.roads["num_entered"] > entered_before):
-            cars = simulator.vehicles[env][present(simulator)[env]]
-            for lane in range(3):
-                ranked = np.sort(cars["position"][cars["lane"] == lane])
-                if ranked.size > 1 and ranked[0] == 0.0:
-                    # At least the smallest s0 of the profiles.
-                    assert ranked[1] - ranked[0] - 4.8 >= 3.0
-    assert was_late > 0
-    assert simulator.roads["num_collisions"].sum() == 0
-
-
-def test_a_full_road_makes_departures_wait():
-    overrides = {**NO_COMMANDS, "max_vehicles": 6}
-    simulator = Simulator("dense", 2, overrides=overrides)
-    simulator.reset()
-    for _ in range(800):
-        simulator.step()
-        assert (simulator.roads["num_vehicles"] <= 6).all()
-    assert (simulator.roads["num_left"] > 6).all()
-    assert_conserved(simulator)
-
-
-def test_departures_follow_the_scenario():
-    simulator = Simulator("paper", 40, seed=1, overrides={**NO_COMMANDS, "warmup": [0.0, 0.0]})
-    simulator.reset()
-    assert (simulator.roads["num_vehicles"] == 0).all()
-    fresh = []
-    for _ in range(1200):
-        entered_before = simulator.roads["num_entered"].copy()
-        simulator.step()
-        fresh.append(simulator.vehicles[simulator.vehicles["id"] >= entered_before[:, None]].copy())
-    cars = np.concatenate(fresh)
-    per_lane = np.bincount(cars["lane"], minlength=3) / 40
-    # 120 s with one vehicle per 7.5 s, and slightly fewer: some wait behind a slow leader.
-    assert ((per_lane > 14.0) & (per_lane < 17.0)).all()
-    assert (cars["position"] == 0.0).all()
-    assert cars["lateral_position"] == pytest.approx(1.875 + 3.75 * cars["lane"])
-    assert (cars["yaw"] == 0.0).all()
-    for name, low, high in (("speed", 30.0, 50.0), ("desired_speed", 80.0, 120.0)):
-        speeds = 3.6 * cars[name]
-        assert low - 1e-9 <= speeds.min() < low + 0.2
-        assert high - 0.2 < speeds.max() <= high
-        assert speeds.mean() == pytest.approx((low + high) / 2.0, rel=0.02)
-    assert cars["command_position"].min() >= 140.0
-    assert cars["command_position"].max() <= 160.0
-
-
-def test_profiles_and_dispositions_follow_their_mixes():
-    overrides = {
-        **NO_COMMANDS,
-        "drivers": {"mix": {"normal": 2.0, "defensive": 2.0}},
-        "followers": {"mix": {"cooperative": 1.0, "adversarial": 3.0}},
-    }
-    simulator = Simulator("dense", 40, seed=1, overrides=overrides)
-    simulator.reset()
-    cars = simulator.vehicles[present(simulator)]
-    profiles = np.bincount(cars["profile"], minlength=3) / len(cars)
-    dispositions = np.bincount(cars["disposition"], minlength=3) / len(cars)
-    assert profiles == pytest.approx([0.5, 0.0, 0.5], abs=0.06)
-    assert dispositions == pytest.approx([0.25, 0.0, 0.75], abs=0.06)
-
-
-def test_a_reset_starts_from_a_road_that_carries_traffic():
-    simulator = Simulator("paper", 50, seed=4)
-    simulator.reset()
-    roads = simulator.roads
-    assert (roads["step"] == 0).all()
-    assert (roads["num_vehicles"] >= 6).all()
-    assert len(set(roads["num_vehicles"].tolist())) > 3
-    assert simulator.vehicles["position"][present(simulator)].max() > 900.0
-    # Vehicles that passed their command position in the warm-up get no command.
-    is_past = present(simulator) & (simulator.vehicles["position"] > 160.0)
-    assert np.isinf(simulator.vehicles["command_position"][is_past]).all()
-
-
-def test_the_warm_up_is_as_long_as_the_scenario_says():
-    """A longer warm-up has more vehicles, which are further along the road."""
-    short = Simulator("paper", 30, overrides={"warmup": [10.0, 10.0]})
-    long = Simulator("paper", 30, overrides={"warmup": [40.0, 40.0]})
-    short.reset()
-    long.reset()
-    assert short.vehicles["position"][present(short)].max() < 250.0
-    assert long.vehicles["position"][present(long)].max() > 400.0
-    assert long.roads["num_entered"].mean() > 2.5 * short.roads["num_entered"].mean()

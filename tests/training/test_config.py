@@ -1,17 +1,15 @@
 """The configuration: complete in every recipe, typed, and within its ranges."""
 
-from functools import reduce
-from pathlib import Path
 from typing import ClassVar
 
 import pytest
 import torch
+from configs import FOLDER, resolve, select, typed
 from pydantic import BaseModel
 
 from marl_lanes import LaneChangeEnv, load_scenario
 from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.checkpoint import make_network
-from marl_lanes.training.command_line import compose_fields
 from marl_lanes.training.config import (
     ConfigError,
     EvaluationConfig,
@@ -20,17 +18,7 @@ from marl_lanes.training.config import (
     write_config,
 )
 
-FOLDER = Path(__file__).parents[2] / "agents" / "naf"
 RECIPES = ["fast", "interactive", "paper"]
-
-
-def resolve(*overrides):
-    """What hydra makes of a command line."""
-    return compose_fields(TrainingConfig, FOLDER, overrides)
-
-
-def typed(*overrides):
-    return read_config(TrainingConfig, resolve(*overrides))
 
 
 def fields(kind=TrainingConfig, prefix=""):
@@ -42,11 +30,6 @@ def fields(kind=TrainingConfig, prefix=""):
         else:
             assert field.description, name
             yield prefix + name
-
-
-def select(given, name):
-    """The value of a dotted name."""
-    return reduce(lambda section, key: section[key], name.split("."), given)
 
 
 @pytest.mark.parametrize("recipe", RECIPES)
@@ -95,29 +78,6 @@ def test_the_paper_recipe_has_the_papers_numbers():
     assert config.optimizer.pretraining_transitions == 200_000
     assert config.collector.total_transitions == 400_000
     assert (config.network.mu, config.replay.rare_share) == ("paper", 0.0)
-
-
-@pytest.mark.parametrize(
-    ("override", "name", "value"),
-    [
-        ("loss.gamma=0.5", "loss.gamma", 0.5),
-        ("loss.gamma=1", "loss.gamma", 1.0),
-        ("seed=0", "seed", 0),
-        ("output=2024", "output", "2024"),
-        ("initial_checkpoint=a/b.pt", "initial_checkpoint", "a/b.pt"),
-        ("network.mu=damped", "network.mu", "damped"),
-        ("network.hidden_sizes=[3]", "network.hidden_sizes", [3]),
-        ("optimizer.max_gradient_norm=null", "optimizer.max_gradient_norm", None),
-        ("optimizer.max_gradient_norm=2", "optimizer.max_gradient_norm", 2.0),
-        ("optimizer.pretraining_transitions=0", "optimizer.pretraining_transitions", 0),
-        ("exploration.initial_sigma=0.2", "exploration.initial_sigma", 0.2),
-        ("+training_overrides.road.num_lanes=5", "training_overrides.road.num_lanes", 5),
-    ],
-)
-def test_every_field_can_be_set(override, name, value):
-    found = select(typed(override).model_dump(), name)
-    assert found == value
-    assert type(found) is type(value) or isinstance(value, list)
 
 
 BAD = [
@@ -252,20 +212,6 @@ def test_every_number_has_a_range():
     assert numbers == {name for name, _ in BAD} - words
 
 
-@pytest.mark.parametrize("kind", ["single", "multi", "ray"])
-def test_collector_is_chosen_by_one_word(kind):
-    number = 1 if kind == "single" else 4
-    config = typed(f"collector={kind}", f"num_workers={number}", "collector.num_envs=64")
-    assert (config.collector.kind, config.num_workers) == (kind, number)
-    assert config.collector.num_envs == 64
-    assert config.collector.steps_per_batch == 16
-
-
-def test_rays_address_is_an_option():
-    config = typed("collector=ray", "num_workers=2", "ray.address=10.0.0.1:6379")
-    assert config.ray.address == "10.0.0.1:6379"
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -281,28 +227,6 @@ def test_workers_that_do_not_fit_are_refused(options, message):
     with pytest.raises(ConfigError) as caught:
         typed(*options)
     assert str(caught.value) == message
-
-
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("nonsense=1", "nonsense: unknown key; allowed: scenario, "),
-        ("loss.gama=0.9", "loss.gama: unknown key; did you mean gamma? allowed: gamma, "),
-        ("+loss.gama=0.9", "loss.gama: unknown key; did you mean gamma? allowed: gamma, "),
-        ("optimizer.lerning_rate=1", "optimizer.lerning_rate: unknown key; did you mean learning_"),
-        ("colector.num_envs=4", "colector: unknown key; did you mean collector? allowed: scenario"),
-        ("network.depth=3", "network.depth: unknown key; allowed: mu, "),
-        ("recipe=wild", "recipe = 'wild': must be fast, interactive, paper"),
-        ("collector=cloud", "collector = 'cloud': must be multi, ray, single"),
-        ("training_overrides.seed=1", "Could not override 'training_overrides.seed'. To append "),
-        ("seed", "Error parsing override 'seed'"),
-    ],
-)
-def test_unknown_keys_and_recipes_are_refused(override, message):
-    with pytest.raises(ConfigError) as caught:
-        typed(override)
-    assert str(caught.value).startswith(message)
-    assert len(str(caught.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize(

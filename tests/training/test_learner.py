@@ -4,8 +4,7 @@ import shutil
 
 import pytest
 import torch
-from learners import TWO_ACTIONS, Evaluation, changers, followers, rows, tables
-from tensordict import TensorDict
+from learners import TWO_ACTIONS, Evaluation, changers, filled, followers, rows, tables, weights_of
 
 from marl_lanes.naf.checkpoint import read_checkpoint
 from marl_lanes.training.config import ConfigError
@@ -120,52 +119,6 @@ def test_two_runs_of_a_seed_are_the_same(tmp_path):
     assert runs["one"] != runs["other"]
 
 
-def test_a_copy_that_drives_follows_the_network(tmp_path):
-    """As where the network learns on a GPU and workers drive on the CPU."""
-    runs = {}
-    for name, places in (("one", {}), ("copy", {"acting_device": torch.device("cpu", 0)})):
-        learner = changers(**places)
-        assert (learner.algorithm.actor.network is learner.algorithm.network) == (name == "one")
-        learner.begin(tmp_path / name)
-        assert learner.train(Evaluation())
-        learner.close()
-        runs[name] = tables(tmp_path / name)
-    assert runs["one"] == runs["copy"]
-    # That of the last batch's beginning, of which the updates have made another.
-    actor, network = (
-        learner.algorithm.actor.network.state_dict(),
-        learner.algorithm.network.state_dict(),
-    )
-    assert any(not torch.equal(actor[key], network[key]) for key in network)
-
-
-def sampled_noise(learner, group, num_actions):
-    """Many actions after the noise, all zero before it."""
-    action = torch.zeros(8, 4, num_actions)
-    steps = [TensorDict({group: {"action": action.clone()}}, [8]) for _ in range(400)]
-    return torch.stack([learner.algorithm.actor.noise(step)[group, "action"] for step in steps])
-
-
-@pytest.mark.parametrize(("sigma", "factor"), [(0.02, 1.0), (0.1, 1.0), (0.02, 4.0)])
-def test_the_noise_is_a_share_of_each_half_range(sigma, factor):
-    options = (
-        f"exploration.initial_sigma={sigma}",
-        "exploration.final_sigma=0.01",
-        f"exploration.longitudinal_factor={factor}",
-    )
-    learner = changers(*options, overrides=TWO_ACTIONS, mu="mlp")
-    noise = sampled_noise(learner, "changers", 2)
-    # Bounds -0.5 to 0.5 and -5 to 1: half ranges 0.5 and 3.
-    assert noise[..., 0].std().item() == pytest.approx(sigma * 0.5, rel=0.03)
-    assert noise[..., 1].std().item() == pytest.approx(factor * sigma * 3.0, rel=0.03)
-    assert noise.mean((0, 1, 2)).abs().max() < factor * sigma * 0.1
-    learner.collector.shutdown()
-    learner = followers(*options)
-    noise = sampled_noise(learner, "followers", 1)
-    assert noise.std().item() == pytest.approx(sigma * 3.0, rel=0.03)
-    learner.collector.shutdown()
-
-
 def test_the_others_are_left_alone(tmp_path):
     learner = followers()
     driver = learner.collector.policy[0]
@@ -181,26 +134,6 @@ def test_the_others_are_left_alone(tmp_path):
     # Without noise.
     assert steps["changers", "action"][acting].allclose(wanted)
     assert acting.any()
-
-
-def filled(folder, *options):
-    """A learner with transitions in its replay buffer."""
-    learner = changers(*options)
-    learner.begin(folder)
-    generator = torch.Generator().manual_seed(3)
-
-    def draw(*shape):
-        return torch.randn(shape, generator=generator)
-
-    ends = {key: draw(200, 1) > 1.5 for key in ("done", "terminated", "truncated")}
-    following = TensorDict({"observation": draw(200, 6), "reward": draw(200, 1), **ends}, [200])
-    rows = {"observation": draw(200, 6), "action": draw(200, 1) * 0.1, "next": following}
-    learner.replay.extend(TensorDict(rows, [200]))
-    return learner
-
-
-def weights_of(learner):
-    return {key: value.clone() for key, value in learner.algorithm.loss.state_dict().items()}
 
 
 def test_many_updates_at_once_are_those_one_by_one(tmp_path, monkeypatch):
@@ -221,76 +154,6 @@ def test_many_updates_at_once_are_those_one_by_one(tmp_path, monkeypatch):
         assert torch.equal(random, results[0][2])
         for key, value in results[0][1].items():
             assert torch.equal(weights[key], value), key
-
-
-@pytest.mark.parametrize("option", ["mu_learning_rate=0.0001", "mu_learning_rate=0.001"])
-def test_each_network_learns_at_its_rate(tmp_path, option):
-    learner = filled(tmp_path, f"optimizer.{option}", "optimizer.max_gradient_norm=null")
-    before = weights_of(learner)
-    learner.update(1)
-    learner.close()
-    after = weights_of(learner)
-    # Adam's first step is the rate, whatever the gradient.
-    for part, rate in (("value", 1e-3), ("factor_logits", 1e-3), ("mu", float(option[17:]))):
-        keys = [key for key in before if key.startswith(f"value_network_params.{part}")]
-        steps = [(after[key] - before[key]).abs().max().item() for key in keys]
-        assert max(steps) == pytest.approx(rate, rel=1e-2), part
-
-
-def test_the_frozen_mu_of_stage_one_begins_as_new_in_stage_two(tmp_path):
-    options = ["optimizer.mu_learning_rate=0.0002", "optimizer.max_gradient_norm=null"]
-    learner = filled(tmp_path, *options, "optimizer.pretraining_transitions=1000")
-
-    def update(transitions):
-        learner.counters["transitions"] = transitions
-        learner.algorithm.anneal(transitions)
-        before = weights_of(learner)
-        learner.update(5 if transitions < 1000 else 1)
-        after = weights_of(learner)
-        return {
-            part: max(
-                (after[key] - before[key]).abs().max().item()
-                for key in before
-                if key.startswith(f"value_network_params.{part}")
-            )
-            for part in ("value", "mu")
-        }
-
-    first, second = update(0), update(1000)
-    learner.close()
-    assert first["value"] > 0.0
-    assert first["mu"] == 0.0
-    # Adam's first step is the rate, its later ones after zero gradients would be larger.
-    assert second["mu"] == pytest.approx(2e-4, rel=1e-2)
-
-
-def test_step_sizes_fall_through_stage_two(tmp_path):
-    learner = filled(
-        tmp_path,
-        "optimizer.learning_rate=0.001",
-        "optimizer.mu_learning_rate=0.0002",
-        "optimizer.final_rate=0.1",
-        "optimizer.pretraining_transitions=1000",
-        "collector.total_transitions=3000",
-    )
-    for transitions, share in ((0, 1.0), (1000, 1.0), (2000, 0.55), (3000, 0.1), (3500, 0.1)):
-        learner.counters["transitions"] = transitions
-        learner.algorithm.anneal(transitions)
-        rates = [group["lr"] for group in learner.algorithm.optimizer.param_groups]
-        assert rates == pytest.approx([0.001 * share, 0.0002 * share])
-    learner.close()
-
-
-@pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
-def test_a_compiled_loss_gives_the_same_losses(tmp_path):
-    results = []
-    for option in ("false", "true"):
-        learner = filled(tmp_path / option, f"optimizer.compile={option}")
-        torch.manual_seed(9)
-        results.append(learner.update(5)["loss"].tolist())
-        learner.close()
-    # Adam divides by the gradient's size: the rounding of a tiny one is a whole step.
-    assert results[0] == pytest.approx(results[1], rel=1e-3)
 
 
 class Crash(Evaluation):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from staging import command, damped_actions, stage
+from staging import command, damped_actions, simulator_of, stage
 
 from marl_lanes.traffic.machine.state import Outcome, Phase
 from marl_lanes.traffic.simulator import Simulator
@@ -12,12 +12,6 @@ from marl_lanes.traffic.simulator import Simulator
 ALWAYS = {"command": {"probability": 1.0}}
 IDLE = {"desired_speed": 1e6}
 """Makes the free-road term almost 0; the acceleration in a step is at most a_m."""
-
-
-def simulator_of(**overrides):
-    simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], **overrides})
-    simulator.reset()
-    return simulator
 
 
 def phase_beside(place, distance, phase, speeds, *, profile=0, **overrides):

@@ -150,30 +150,6 @@ def test_an_engaged_changer_keeps_the_speed_that_it_reached_for_the_gap():
     assert waiting(own=inside, phase=Phase.ENGAGED) == pytest.approx(slower)
 
 
-def test_the_observed_car_following_is_the_one_that_is_driven():
-    """A waiting agent observes its acceleration of the next step without a second action."""
-    features = {"observation": {"features": ["car_following_acceleration", "phase"]}}
-    overrides = {
-        **features,
-        "command": {"probability": 1.0},
-        "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
-        "followers": {"mix": {"neutral": 1.0}},
-    }
-    simulator = Simulator("dense", 8, seed=3, overrides=overrides)
-    simulator.reset()
-    compared = 0
-    for _ in range(300):
-        seen = simulator.state.observations.copy()
-        vehicles = simulator.agents["vehicle"].copy()
-        alone = (simulator.roads["num_live"] == 1)[:, None] & (seen[..., 1] == Phase.WAITING)
-        simulator.step(damped_actions(simulator))
-        for env, slot in np.argwhere(alone):
-            found = simulator.vehicles[env, vehicles[env, slot]]["acceleration"]
-            assert found == pytest.approx(seen[env, slot, 0], abs=1e-5)
-            compared += 1
-    assert compared > 100
-
-
 def test_in_dense_traffic_waiting_drivers_find_gaps_without_hard_braking():
     settled = {"max_deviation": 0.2, "max_lateral_speed": 0.25, "max_yaw_rate": 0.03}
     simulator = Simulator("dense", 40, seed=0, overrides={"completion": settled})

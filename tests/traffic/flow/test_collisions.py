@@ -5,18 +5,11 @@ import math
 import numpy as np
 import pytest
 from reference import Car, Road, overlap_area
-from staging import command, stage
+from staging import command, simulator_of, stage
 
 from marl_lanes.traffic.flow.collisions import is_overlapping
 from marl_lanes.traffic.machine.state import NUM_COLLISION_RECORDS, CollisionKind, Outcome
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.traffic.simulator import Simulator
-
-
-def simulator_of(**overrides):
-    simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], **overrides})
-    simulator.reset()
-    return simulator
 
 
 def newest(simulator):

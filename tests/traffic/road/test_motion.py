@@ -4,10 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from staging import advance, command, one_arc, place, stage
+from staging import advance, one_arc, place
 
-from marl_lanes.traffic.machine.state import Phase
-from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import Simulator
 
 
@@ -59,43 +57,6 @@ def test_accelerations_in_the_state_are_those_applied():
             assert new[rate] == pytest.approx((new[name] - old[name]) / 0.1, abs=1e-9)
         num_asked_for_more += int(((new["speed"] == 0.0) & (new["agent"] >= 0)).sum())
     assert num_asked_for_more > 100
-
-
-def test_braking_at_a_standstill_has_no_effect():
-    """At a standstill a changer that brakes and one with action 0 have the same state."""
-    ends = []
-    for wanted in (-3.0, 0.0):
-        simulator = Simulator(
-            "interactive", seed=1, overrides={"num_agents": None, "horizon": None}
-        )
-        simulator.reset()
-        simulator.advance_until_live()
-        slot = int(np.argmax(simulator.is_live[0]))
-        for count in range(350):
-            acceleration = -3.0 if count < 250 else wanted
-            simulator.step(np.full((1, simulator.num_slots, 2), [0.0, acceleration]))
-        car = simulator.vehicles[0, simulator.agents[0, slot]["vehicle"]]
-        assert car["speed"] == car["acceleration"] == 0.0
-        ends.append(simulator.snapshot())
-        # No leader makes it stop: car following would drive on.
-        assert simulator.agents[0, slot]["car_following"] > 0.0
-    assert ends[0] == ends[1]
-
-
-def test_car_following_behind_a_stopped_leader_keeps_the_driver_stopped():
-    simulator = Simulator("interactive", overrides={"warmup": [0.0, 0.0]})
-    simulator.reset()
-    stage(
-        simulator,
-        {"lane": 1, "position": 100.0, "speed": 0.0},
-        {"lane": 1, "position": 106.0, "speed": 0.0, "desired_speed": 0.01},
-    )
-    agent = command(simulator, 0, 1, Phase.WAITING)
-    simulator.step(np.full((1, simulator.num_slots, 2), [0.0, -3.0]))
-    column = list(simulator.scenario.observation.features).index("car_following_acceleration")
-    assert simulator.agents[0, agent]["car_following"] == 0.0
-    assert simulator.state.observations[0, agent, column] == 0.0
-    assert CHANGER.terms_of(simulator.agents[0, agent])["reward_longitudinal"] == 0.0
 
 
 @pytest.mark.parametrize("radius", [150.0, -150.0, 1e9])

@@ -3,23 +3,17 @@
 import copy
 import pickle
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import pytest
 
 from marl_lanes.scenario import load_scenario
-from marl_lanes.scenario.agent import FeatureName
 from marl_lanes.traffic.machine.compiled import compiled
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.roles.role import Feature, Term, make_observer, make_payment, role_named
 
 ROLES = (CHANGER, FOLLOWER)
-
-
-def test_a_scenario_can_name_every_feature_and_no_other():
-    assert get_args(FeatureName) == tuple(feature.name for feature in CHANGER.features)
 
 
 @pytest.mark.parametrize("role", ROLES, ids=lambda role: role.name)

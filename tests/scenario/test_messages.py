@@ -1,0 +1,32 @@
+"""Messages about wrong fields: the nearest key, and every problem at once."""
+
+import pytest
+from scenario.refusals import assert_refused, error_of
+
+WRONG = [
+    ({"colour": 1}, ["colour: unknown key; allowed: name, description, time_step"]),
+    (
+        {"road": {"lanes": 3}},
+        ["road.lanes: unknown key; did you mean num_lanes? allowed: length, num_lanes, lane_width"],
+    ),
+    (
+        {"road": {"arcs": [{"start": 10.0, "end": 50.0}]}},
+        ["road.arcs.0.radius: must be given"],
+    ),
+    (
+        {"road": {"arcs": [{"start": 10.0, "end": 50.0, "radius": 90.0, "bend": 1}]}},
+        ["road.arcs.0.bend: unknown key; did you mean end? allowed: start, end, radius"],
+    ),
+]
+
+
+@pytest.mark.parametrize(("overrides", "parts"), WRONG, ids=[str(row[0]) for row in WRONG])
+def test_what_cannot_be_is_refused_with_field_value_and_what_is_allowed(overrides, parts):
+    assert_refused(overrides, parts)
+
+
+def test_one_error_names_every_problem():
+    message = error_of({"road": {"length": 5.0}, "time_step": 9.0, "colour": 1})
+    assert message.startswith("scenario from a mapping: ")
+    for part in ("road.length = 5.0", "time_step = 9.0", "colour: unknown key"):
+        assert part in message

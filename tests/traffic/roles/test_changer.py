@@ -1,0 +1,107 @@
+"""The changer's observation and reward."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+from staging import command, damped_actions, simulator_of, stage
+
+from marl_lanes.scenario.agent import FeatureName
+from marl_lanes.traffic.machine.state import Phase
+from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.simulator import Simulator
+
+
+def test_the_reward_is_the_sum_of_its_terms_by_hand():
+    simulator = simulator_of()
+    stage(simulator, {"lane": 1, "position": 200.0, "yaw_rate": 0.02})
+    agent = command(simulator, 0, -1)
+    simulator.step(np.full((1, simulator.num_slots, 1), 0.3))
+    row = simulator.agents[0, agent]
+    # To the right: the yaw acceleration is -0.3 rad/s^2, the yaw rate 0.02 - 0.03.
+    speed = 20.0 + 0.2 * (1.0 - (2.0 / 3.0) ** 4)
+    deviation = 3.75 + speed * np.sin(-0.001) * 0.1
+    paid = CHANGER.terms_of(row)
+    assert paid["reward_yaw_acceleration"] == pytest.approx(-2.0 * 0.3)
+    assert paid["reward_yaw_rate"] == pytest.approx(-0.5 * 0.01)
+    assert paid["reward_deviation"] == pytest.approx(-0.05 * deviation / 1.875)
+    expected = -0.605 - 0.05 * deviation / 1.875
+    assert row["reward"] == row["episode_reward"] == pytest.approx(expected)
+    assert row["steering_steps"] == 1
+
+
+def test_on_an_arc_only_turning_relative_to_the_road_is_punished():
+    arcs = [{"start": 0.0, "end": 900.0, "radius": 400.0}]
+    simulator = simulator_of(road={"arcs": arcs})
+    rate = 20.0 / (400.0 - 5.625)
+    stage(simulator, {"lane": 1, "position": 200.0, "yaw_rate": rate, "desired_speed": 20.0})
+    agent = command(simulator, 0, 1)
+    simulator.step()
+    assert simulator.vehicles[0, 0]["yaw_rate"] == pytest.approx(rate)
+    paid = CHANGER.terms_of(simulator.agents[0, agent])
+    assert paid["reward_yaw_rate"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_braking_at_a_standstill_has_no_effect():
+    """At a standstill a changer that brakes and one with action 0 have the same state."""
+    ends = []
+    for wanted in (-3.0, 0.0):
+        simulator = Simulator(
+            "interactive", seed=1, overrides={"num_agents": None, "horizon": None}
+        )
+        simulator.reset()
+        simulator.advance_until_live()
+        slot = int(np.argmax(simulator.is_live[0]))
+        for count in range(350):
+            acceleration = -3.0 if count < 250 else wanted
+            simulator.step(np.full((1, simulator.num_slots, 2), [0.0, acceleration]))
+        car = simulator.vehicles[0, simulator.agents[0, slot]["vehicle"]]
+        assert car["speed"] == car["acceleration"] == 0.0
+        ends.append(simulator.snapshot())
+        # No leader makes it stop: car following would drive on.
+        assert simulator.agents[0, slot]["car_following"] > 0.0
+    assert ends[0] == ends[1]
+
+
+def test_car_following_behind_a_stopped_leader_keeps_the_driver_stopped():
+    simulator = Simulator("interactive", overrides={"warmup": [0.0, 0.0]})
+    simulator.reset()
+    stage(
+        simulator,
+        {"lane": 1, "position": 100.0, "speed": 0.0},
+        {"lane": 1, "position": 106.0, "speed": 0.0, "desired_speed": 0.01},
+    )
+    agent = command(simulator, 0, 1, Phase.WAITING)
+    simulator.step(np.full((1, simulator.num_slots, 2), [0.0, -3.0]))
+    column = list(simulator.scenario.observation.features).index("car_following_acceleration")
+    assert simulator.agents[0, agent]["car_following"] == 0.0
+    assert simulator.state.observations[0, agent, column] == 0.0
+    assert CHANGER.terms_of(simulator.agents[0, agent])["reward_longitudinal"] == 0.0
+
+
+def test_the_observed_car_following_is_the_one_that_is_driven():
+    """A waiting agent observes its acceleration of the next step without a second action."""
+    features = {"observation": {"features": ["car_following_acceleration", "phase"]}}
+    overrides = {
+        **features,
+        "command": {"probability": 1.0},
+        "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
+        "followers": {"mix": {"neutral": 1.0}},
+    }
+    simulator = Simulator("dense", 8, seed=3, overrides=overrides)
+    simulator.reset()
+    compared = 0
+    for _ in range(300):
+        seen = simulator.state.observations.copy()
+        vehicles = simulator.agents["vehicle"].copy()
+        alone = (simulator.roads["num_live"] == 1)[:, None] & (seen[..., 1] == Phase.WAITING)
+        simulator.step(damped_actions(simulator))
+        for env, slot in np.argwhere(alone):
+            found = simulator.vehicles[env, vehicles[env, slot]]["acceleration"]
+            assert found == pytest.approx(seen[env, slot, 0], abs=1e-5)
+            compared += 1
+    assert compared > 100
+
+
+def test_a_scenario_can_name_every_feature_and_no_other():
+    assert get_args(FeatureName) == tuple(feature.name for feature in CHANGER.features)

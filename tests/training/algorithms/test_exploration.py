@@ -1,0 +1,99 @@
+"""The noise on the greedy actions, and the copy of the network that acts."""
+
+import pytest
+import torch
+from learners import TWO_ACTIONS, Evaluation, changers, followers, tables
+from tensordict import TensorDict
+
+from marl_lanes import LaneChangeEnv
+from marl_lanes.training.algorithms.exploration import NoisyActor
+from marl_lanes.training.checkpoint import make_network
+from marl_lanes.training.config import ExplorationConfig
+
+torch.set_num_threads(1)
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+)
+
+
+@pytest.mark.training
+def test_a_copy_that_drives_follows_the_network(tmp_path):
+    """As where the network learns on a GPU and workers drive on the CPU."""
+    runs = {}
+    for name, places in (("one", {}), ("copy", {"acting_device": torch.device("cpu", 0)})):
+        learner = changers(**places)
+        assert (learner.algorithm.actor.network is learner.algorithm.network) == (name == "one")
+        learner.begin(tmp_path / name)
+        assert learner.train(Evaluation())
+        learner.close()
+        runs[name] = tables(tmp_path / name)
+    assert runs["one"] == runs["copy"]
+    # That of the last batch's beginning, of which the updates have made another.
+    actor, network = (
+        learner.algorithm.actor.network.state_dict(),
+        learner.algorithm.network.state_dict(),
+    )
+    assert any(not torch.equal(actor[key], network[key]) for key in network)
+
+
+def sampled_noise(learner, group, num_actions):
+    """Many actions after the noise, all zero before it."""
+    action = torch.zeros(8, 4, num_actions)
+    steps = [TensorDict({group: {"action": action.clone()}}, [8]) for _ in range(400)]
+    return torch.stack([learner.algorithm.actor.noise(step)[group, "action"] for step in steps])
+
+
+@pytest.mark.training
+@pytest.mark.parametrize(("sigma", "factor"), [(0.02, 1.0), (0.1, 1.0), (0.02, 4.0)])
+def test_the_noise_is_a_share_of_each_half_range(sigma, factor):
+    options = (
+        f"exploration.initial_sigma={sigma}",
+        "exploration.final_sigma=0.01",
+        f"exploration.longitudinal_factor={factor}",
+    )
+    learner = changers(*options, overrides=TWO_ACTIONS, mu="mlp")
+    noise = sampled_noise(learner, "changers", 2)
+    # Bounds -0.5 to 0.5 and -5 to 1: half ranges 0.5 and 3.
+    assert noise[..., 0].std().item() == pytest.approx(sigma * 0.5, rel=0.03)
+    assert noise[..., 1].std().item() == pytest.approx(factor * sigma * 3.0, rel=0.03)
+    assert noise.mean((0, 1, 2)).abs().max() < factor * sigma * 0.1
+    learner.collector.shutdown()
+    learner = followers(*options)
+    noise = sampled_noise(learner, "followers", 1)
+    assert noise.std().item() == pytest.approx(sigma * 3.0, rel=0.03)
+    learner.collector.shutdown()
+
+
+def noisy_actor(acting_device="cpu"):
+    settings = ExplorationConfig(
+        initial_sigma=0.4, final_sigma=0.1, annealing_transitions=200, longitudinal_factor=1.0
+    )
+    env = LaneChangeEnv("paper", 1)
+    network = make_network(env.scenario, "damped", [8])
+    devices = torch.device("cpu"), torch.device(acting_device)
+    return NoisyActor(settings, env, network, "changers", *devices), network
+
+
+def test_the_noise_falls_linearly_to_its_final_size():
+    actor, _ = noisy_actor()
+    found = []
+    for transitions in (0, 50, 100, 200, 1000):
+        actor.anneal(transitions)
+        found.append(actor.sigma)
+    assert found == pytest.approx([0.4, 0.325, 0.25, 0.1, 0.1])
+
+
+@pytest.mark.parametrize("acting_device", ["cpu", "cpu:0"])
+def test_it_acts_with_the_weights_of_its_last_refresh(acting_device):
+    actor, network = noisy_actor(acting_device)
+    is_copy = acting_device != "cpu"
+    assert (actor.network is network) != is_copy
+    before = [parameter.clone() for parameter in network.parameters()]
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(1.0)
+    kept = zip(actor.network.parameters(), before, strict=True)
+    assert all(torch.equal(acting, old) == is_copy for acting, old in kept)
+    actor.refresh()
+    both = zip(actor.network.parameters(), network.parameters(), strict=True)
+    assert all(torch.equal(acting, learned) for acting, learned in both)

@@ -1,0 +1,83 @@
+"""NAF's updates: step sizes, the two stages, the compiled loss."""
+
+import pytest
+import torch
+from learners import filled, weights_of
+
+torch.set_num_threads(1)
+pytestmark = [
+    pytest.mark.training,
+    pytest.mark.filterwarnings(
+        "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+    ),
+]
+
+
+@pytest.mark.parametrize("option", ["mu_learning_rate=0.0001", "mu_learning_rate=0.001"])
+def test_each_network_learns_at_its_rate(tmp_path, option):
+    learner = filled(tmp_path, f"optimizer.{option}", "optimizer.max_gradient_norm=null")
+    before = weights_of(learner)
+    learner.update(1)
+    learner.close()
+    after = weights_of(learner)
+    # Adam's first step is the rate, whatever the gradient.
+    for part, rate in (("value", 1e-3), ("factor_logits", 1e-3), ("mu", float(option[17:]))):
+        keys = [key for key in before if key.startswith(f"value_network_params.{part}")]
+        steps = [(after[key] - before[key]).abs().max().item() for key in keys]
+        assert max(steps) == pytest.approx(rate, rel=1e-2), part
+
+
+def test_the_frozen_mu_of_stage_one_begins_as_new_in_stage_two(tmp_path):
+    options = ["optimizer.mu_learning_rate=0.0002", "optimizer.max_gradient_norm=null"]
+    learner = filled(tmp_path, *options, "optimizer.pretraining_transitions=1000")
+
+    def update(transitions):
+        learner.counters["transitions"] = transitions
+        learner.algorithm.anneal(transitions)
+        before = weights_of(learner)
+        learner.update(5 if transitions < 1000 else 1)
+        after = weights_of(learner)
+        return {
+            part: max(
+                (after[key] - before[key]).abs().max().item()
+                for key in before
+                if key.startswith(f"value_network_params.{part}")
+            )
+            for part in ("value", "mu")
+        }
+
+    first, second = update(0), update(1000)
+    learner.close()
+    assert first["value"] > 0.0
+    assert first["mu"] == 0.0
+    # Adam's first step is the rate, its later ones after zero gradients would be larger.
+    assert second["mu"] == pytest.approx(2e-4, rel=1e-2)
+
+
+def test_step_sizes_fall_through_stage_two(tmp_path):
+    learner = filled(
+        tmp_path,
+        "optimizer.learning_rate=0.001",
+        "optimizer.mu_learning_rate=0.0002",
+        "optimizer.final_rate=0.1",
+        "optimizer.pretraining_transitions=1000",
+        "collector.total_transitions=3000",
+    )
+    for transitions, share in ((0, 1.0), (1000, 1.0), (2000, 0.55), (3000, 0.1), (3500, 0.1)):
+        learner.counters["transitions"] = transitions
+        learner.algorithm.anneal(transitions)
+        rates = [group["lr"] for group in learner.algorithm.optimizer.param_groups]
+        assert rates == pytest.approx([0.001 * share, 0.0002 * share])
+    learner.close()
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
+def test_a_compiled_loss_gives_the_same_losses(tmp_path):
+    results = []
+    for option in ("false", "true"):
+        learner = filled(tmp_path / option, f"optimizer.compile={option}")
+        torch.manual_seed(9)
+        results.append(learner.update(5)["loss"].tolist())
+        learner.close()
+    # Adam divides by the gradient's size: the rounding of a tiny one is a whole step.
+    assert results[0] == pytest.approx(results[1], rel=1e-3)
