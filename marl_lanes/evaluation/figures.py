@@ -33,11 +33,11 @@ def draw_training(run: Path, pretraining_transitions: int, optimal_return: float
 
     Args:
         run: the run folder; the figures are written to its ``figures``.
-        pretraining_transitions: end of stage one.
+        pretraining_transitions: end of stage one, 0 if there is one stage.
         optimal_return: mean return of the optimum, drawn as a line; None for no line.
     """
     metrics = _read(run / "metrics.csv")
-    figure, axes = _new_figure("Loss (Eq. 8)", "transitions", "mean squared error")
+    figure, axes = _new_figure("Loss", "transitions", "mean squared error")
     has_loss = np.isfinite(metrics["loss"])
     axes.plot(metrics["transitions"][has_loss], metrics["loss"][has_loss], color=_BLUE, lw=0.8)
     axes.set_yscale("log")
@@ -200,7 +200,8 @@ def _new_figure(title: str, x_label: str, y_label: str) -> tuple[Figure, Any]:
 
 
 def _mark_stage(axes: Any, pretraining_transitions: int) -> None:
-    axes.axvline(pretraining_transitions, color=_GREY, ls=":", lw=1.0)
+    if pretraining_transitions:
+        axes.axvline(pretraining_transitions, color=_GREY, ls=":", lw=1.0)
 
 
 def _mark_optimum(axes: Any, optimal_return: float | None) -> None:

@@ -3,7 +3,10 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 import torch
@@ -129,3 +132,29 @@ def test_a_worker_that_dies_is_named(workers):
     workers.shutdown()
     assert not {child.pid for child in multiprocessing.active_children()} & pids
     assert torch.get_num_threads() == 1
+
+
+PROGRAM = """
+from collecting import make
+from marl_lanes.training.workers import ProcessCollector
+
+if __name__ == "__main__":
+    collector = make(ProcessCollector, 2, num_workers=2)
+    collector.next()
+    collector.shutdown()
+    # Nobody frees it before Python ends.
+    collector.itself = collector
+"""
+
+
+def test_python_ends_after_its_workers(tmp_path):
+    file = tmp_path / "program.py"
+    file.write_text(PROGRAM, encoding="utf-8")
+    path = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    subprocess.run(
+        [sys.executable, str(file)],
+        env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
+        check=True,
+        timeout=100,
+        capture_output=True,
+    )
