@@ -1,4 +1,4 @@
-"""Checkpoints: whole, without code, and refused where they do not fit."""
+"""Checkpoints: what is saved acts as before, with the scenario's features and bounds."""
 
 import numpy as np
 import pytest

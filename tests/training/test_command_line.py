@@ -6,9 +6,7 @@ from configs import FOLDER, resolve, select, typed
 
 from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.command_line import compose_fields, read_command_line
-from marl_lanes.training.config import (
-    ConfigError,
-)
+from marl_lanes.training.config import ConfigError
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,7 @@ from torchrl.objectives import SoftUpdate
 
 from marl_lanes import LaneChangeEnv, NAFLoss
 from marl_lanes.naf.checkpoint import CheckpointError
-from marl_lanes.training.checkpoint import (
-    make_network,
-)
+from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector
 from marl_lanes.training.config import ReplayConfig
 from marl_lanes.training.replay import Replay
@@ -21,12 +19,6 @@ from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.transitions import LivePolicy, live_transitions
 
 torch.set_num_threads(1)
-
-
-def test_a_checkpoint_is_not_a_training_state(policy_file):
-    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 5"):
-        read_state(policy_file)
-
 
 collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
@@ -154,3 +146,8 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
         read_state(tmp_path / "absent.pt")
     with pytest.raises(CheckpointError, match=tmp_path.name):
         read_state(tmp_path)
+
+
+def test_a_checkpoint_is_not_a_training_state(policy_file):
+    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 5"):
+        read_state(policy_file)

@@ -9,6 +9,8 @@ from marl_lanes import Simulator
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
 
+KINEMATIC = {"rule": "kinematic", "minimum_gap": 2.0, "time_gap": 0.4, "max_braking": 4.0}
+
 
 def test_an_unguarded_policys_acceleration_is_the_vehicles():
     simulator = driven(brake_checker, guarded=False)
@@ -79,9 +81,6 @@ def test_only_with_the_guard_a_reckless_policy_does_not_collide():
     assert collisions == 0
     collisions, _ = count_collisions(guarded=False)
     assert collisions > 100
-
-
-KINEMATIC = {"rule": "kinematic", "minimum_gap": 2.0, "time_gap": 0.4, "max_braking": 4.0}
 
 
 def acceleration_of(action, *cars, phase=Phase.WAITING):
