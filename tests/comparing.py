@@ -2,7 +2,7 @@
 
 import math
 
-from reference import FOLLOWER_TERMS, SCRIPTED
+from reference.records import FOLLOWER_TERMS, SCRIPTED
 from staging import rows_of
 
 from marl_lanes.scenario import load_scenario

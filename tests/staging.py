@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from reference import Car, Road
+from reference.records import Car
+from reference.road import Road
 
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 from marl_lanes.traffic.road.geometry import road_turn_rate

@@ -1,4 +1,4 @@
-"""The kernel compared with reference.py, each step beginning from the kernel's own state."""
+"""The kernel compared with the reference, each step beginning from the kernel's own state."""
 
 from dataclasses import dataclass, field
 
@@ -14,7 +14,7 @@ from comparing import (
     met_beside,
     moving_over,
 )
-from reference import Road
+from reference.road import Road
 from staging import command, damped_actions, stage
 
 from marl_lanes.scenario import list_scenarios

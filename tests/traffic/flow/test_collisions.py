@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from reference import Car, Road, overlap_area
+from reference.geometry import overlap_area
+from reference.records import Car
+from reference.road import Road
 from staging import command, simulator_of, stage
 
 from marl_lanes.traffic.flow.collisions import is_overlapping
