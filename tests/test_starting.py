@@ -24,6 +24,7 @@ def test_collection_pauses_and_is_as_it_was_afterwards(is_enabled):
         (gc.enable if was_enabled else gc.disable)()
 
 
+@pytest.mark.slow
 def test_the_first_step_loads_no_linear_algebra_and_leaves_it_to_who_compiles_some():
     program = """
 import sys

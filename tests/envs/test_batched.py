@@ -86,6 +86,7 @@ def test_it_passes_torchrls_spec_check(scenario, num_envs):
     assert env.device == torch.device("cpu")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", [steer, hold], ids=["steer", "hold"])
 def test_a_seed_gives_the_same_rollout(module):
     used, fresh = LaneChangeEnv("dense", 2, seed=8), LaneChangeEnv("dense", 2, seed=3)

@@ -98,6 +98,7 @@ def test_it_passes_torchrls_spec_check(scenario, num_envs):
     assert roads.action_spec["followers", "action"].space.high.unique().item() == 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning")
 def test_it_runs_in_torchrls_wrapper():
     from torchrl.envs import PettingZooWrapper

@@ -107,6 +107,7 @@ def test_one_abort_or_one_miss_counts_once(table):
     assert keeping["abort_rate"]["value"] + keeping["missed_rate"]["value"] > 1.5
 
 
+@pytest.mark.slow
 def test_all_pairs_meet_the_same_traffic():
     """Until they act differently, so the first command of a road is in the same step."""
     pairs = list(drive_pairs(changers(), FOLLOWERS, 10, seed=4))
@@ -120,6 +121,7 @@ def test_all_pairs_meet_the_same_traffic():
     assert [(one.env, one.born_step) for one in other.maneuvers if one.command == 0] != first[0]
 
 
+@pytest.mark.slow
 def test_a_pair_does_not_depend_on_the_others():
     alone = crossplay({"x": (BUSY, changing)}, {"rude": FOLLOWERS["adversarial"]}, 10, seed=4)
     among = crossplay(changers(), FOLLOWERS, 10, seed=4)

@@ -12,6 +12,7 @@ from marl_lanes.evaluation.gaps import NEAR_GAP, compare_followers, first_attemp
 from marl_lanes.evaluation.rollout import TRACE, Maneuver, run_maneuvers
 from marl_lanes.traffic.machine.state import Outcome, Phase
 
+pytestmark = pytest.mark.slow
 BUSY = load_scenario(
     "paper",
     {

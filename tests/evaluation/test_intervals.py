@@ -96,6 +96,7 @@ def test_it_is_the_plain_bootstrap():
     assert found.low < found.value < found.high
 
 
+@pytest.mark.slow
 def test_it_covers_the_truth_as_often_as_it_says():
     """Roads differ in their mean, as in traffic; the true mean is 0. About 94 % of 150 cover it."""
     generator = np.random.default_rng(0)

@@ -50,6 +50,7 @@ def test_the_first_commands_in_the_order_of_road_and_command(driven):
         assert one.trace.tobytes() == other.trace.tobytes()
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_maneuvers(driven):
     again = run_maneuvers(ADVERSARIAL, slowly, 58, seed=3)
     assert [repr(one) for one in again] == [repr(one) for one in driven]

@@ -70,6 +70,7 @@ def story(simulator):
     return told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["dense", "interactive", "yielding"])
 def test_a_step_does_not_depend_on_the_slots(scenario):
     one = Simulator(scenario, seed=3, overrides=BUSY, learned_followers=True)

@@ -262,7 +262,14 @@ def follow(case):
     return met
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        # The cases meet what the shipped scenarios do.
+        pytest.param(name, marks=pytest.mark.slow if name in list_scenarios() else ())
+        for name in CASES
+    ],
+)
 def test_one_step_of_the_kernel_is_one_step_of_the_reference(name):
     met = follow(CASES[name])
     assert met.issuperset(CASES[name].meets), f"this case does not meet {CASES[name].meets}: {met}"

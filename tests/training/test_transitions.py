@@ -122,6 +122,7 @@ def test_being_turned_back_bootstraps(batch):
         assert not rows["next", key][turned].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["changers", "followers"])
 def test_what_a_value_looks_into_is_a_state_in_which_the_agent_acts(group):
     """Equal observations have one world ahead of them: the attempt at hand, and no other."""
