@@ -70,6 +70,7 @@ def _car_following(agent: Any, scene: Any) -> float:
     )
 
 
+# A star puts the numbers of a row on one line.
 FEATURES = (
     Feature(
         *("speed", "m/s", 20.0, 10.0, 0.0, 150.0),
@@ -186,7 +187,7 @@ class Step(NamedTuple):
 
 @internal
 def _is_failure(outcome: int) -> bool:
-    return bool(outcome == _COLLISION or outcome == _OFF_ROAD)  # noqa: SIM109 - compiled
+    return outcome in (_COLLISION, _OFF_ROAD)
 
 
 def _charge_departure(weight: float, step: Any) -> float:

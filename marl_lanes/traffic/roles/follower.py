@@ -41,6 +41,7 @@ def _leader_relative_speed(agent: Any, driver: Any, scene: Any) -> float:
     return float(scene.vehicles[agent.target_leader].speed - driver.speed)
 
 
+# A star puts the numbers of a row on one line.
 FEATURES = (
     Feature(
         *("speed", "m/s", 20.0, 10.0, 0.0, 150.0),
