@@ -109,6 +109,12 @@ class Step(NamedTuple):
     constants: Any
 
 
+def _charge_discomfort(weight: float, step: Any) -> float:
+    acceleration = step.driver.acceleration
+    # Not ``** 2``: where nothing is compiled, the C library's power may round differently.
+    return float(-weight * (acceleration * acceleration))
+
+
 TERMS = (
     Term(
         *("delay", "delay_weight", "1/s"),
@@ -132,7 +138,7 @@ TERMS = (
     Term(
         *("discomfort", "discomfort_weight", "s^4/m^2"),
         "-w a^2",
-        lambda w, step: -w * step.driver.acceleration**2,
+        _charge_discomfort,
     ),
     Term(
         *("braking", "braking_weight", "s^2/m"),

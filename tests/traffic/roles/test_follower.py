@@ -1,11 +1,14 @@
 """The follower's observation and reward."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from external_followers import BRAKING, COLLISION, DELAY, DISCOMFORT, pair_of, pay
 
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
+from marl_lanes.traffic.roles.follower import FOLLOWER, Step
 
 
 def test_before_the_body_is_in_the_lane_the_delay_is_rewarded():
@@ -21,6 +24,15 @@ def test_braking_beyond_hard_braking_costs_reward():
 def test_once_the_body_is_in_the_lane_there_is_no_delay():
     terms = pay(*pair_of(lateral=7.0), -0.5)
     assert terms == pytest.approx([0.0, 0.0, 0.0, -DISCOMFORT * 0.25, 0.0])
+
+
+def test_interpreted_formulas_square_as_compiled_ones_do():
+    """A power of 2 by the C library rounds some of these numbers differently from a product."""
+    (discomfort,) = [term for term in FOLLOWER.terms if term.name == "discomfort"]
+    accelerations = np.random.default_rng(0).uniform(-4.0, 4.0, 10_000)
+    for acceleration in accelerations:
+        step = Step(SimpleNamespace(acceleration=acceleration), None, None, False, None)
+        assert discomfort.formula(0.01, step) == -0.01 * (acceleration * acceleration)
 
 
 def test_a_collision_costs_its_penalty():
