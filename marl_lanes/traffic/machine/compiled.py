@@ -10,6 +10,7 @@ from numba.core.registry import CPUDispatcher
 
 from marl_lanes.starting import uncollected
 from marl_lanes.traffic.machine.numba_internals import (
+    NO_COUNTING,
     InternalKernel,
     Kernel,
     known_options,
@@ -81,6 +82,6 @@ def _make(kind: type[CPUDispatcher], function: Function, **options: bool) -> Fun
     """Like ``numba.njit``, with a dispatcher of another class."""
     if cast("Any", numba.config).DISABLE_JIT:
         return function
-    saving = known_options(no_cfunc_wrapper=True, _nrt=False, **options)
+    saving = known_options(no_cfunc_wrapper=True, **NO_COUNTING, **options)
     chosen = {"nopython": True, "boundscheck": None, "nogil": True, "error_model": "numpy"}
     return cast("Function", kind(function, targetoptions=chosen | saving))

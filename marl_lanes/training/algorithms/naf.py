@@ -132,7 +132,7 @@ class NAF(Algorithm):
         if config.loss.target_update == "soft":
             self.target_updater = ForeachSoftUpdate(self.loss, tau=config.loss.tau)
         else:
-            # Its interval counts the calls in between, of which there are none.
+            # An interval of 0 calls between two copies: ``step`` is called only when one is due.
             self.target_updater = HardUpdate(self.loss, value_network_update_interval=0)
         self.optimizer = torch.optim.Adam(
             [{"params": blocks, "lr": rate} for rate, blocks in rates.items()], fused=True
