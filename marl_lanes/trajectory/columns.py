@@ -88,9 +88,7 @@ _CHANGER = (
     Column("target_leader", "i4", "1", "vehicle ahead in the target lane", True),
     Column("target_follower", "i4", "1", "vehicle behind in the target lane", True),
     Column("lateral_deviation", "f4", "m", "to the reference lane, positive to the target", True),
-    Column(
-        "action_yaw_acceleration", "f4", "rad/s^2", "the policy's, to the target", True
-    ),
+    Column("action_yaw_acceleration", "f4", "rad/s^2", "the policy's, to the target", True),
     Column("action_acceleration", "f4", "m/s^2", "the policy's second action", True),
     Column("reward", "f4", "1", "of the step: the sum of the terms", True),
     *_terms("", CHANGER.reward_names, "the changer's reward"),
