@@ -44,6 +44,7 @@ def write_fcd(path: Path, trajectory: Trajectory, road: int | None = None) -> No
     middle, angle (clockwise from north), speed, pos (of the front bumper along the road), lane as
     ``road_LANE``, acceleration, signals (blinkers of changers, brake lights), and type: the
     driver's profile, or ``changer`` for one with a command.
+
     Args:
         path: of the file.
         trajectory: with the road.
