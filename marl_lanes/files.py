@@ -7,8 +7,8 @@ import platform
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,33 @@ from typing import Any
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a temporary file, then put it in the place of ``path``, all of it at once.
 
-    Links are followed. A file that is there keeps its mode and its owner; a new one has those that
-    the process gives. What is no file (a pipe, a device, an open descriptor as ``/dev/stdout``)
-    stays, and is sent the content once that is whole.
+    As ``replacing``, for what is written by one call.
 
     Args:
         path: to write; folders above it are made.
         write: given the temporary file's path.
+
+    Raises:
+        OSError: it is a folder, or cannot be written; what was there stays as it was.
+    """
+    with replacing(path) as temporary:
+        write(temporary)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary file that takes the place of ``path`` at the end, all of it at once.
+
+    If the body raises, what was there stays as it was. Links are followed. A file that is there
+    keeps its mode and its owner; a new one has those that the process gives. What is no file (a
+    pipe, a device, an open descriptor as ``/dev/stdout``) stays, and is sent the content once that
+    is whole.
+
+    Args:
+        path: to write; folders above it are made.
+
+    Yields:
+        the temporary file's path, which the body writes.
 
     Raises:
         OSError: it is a folder, or cannot be written; what was there stays as it was.
@@ -33,17 +53,15 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     except FileNotFoundError:
         before = None
     descriptor = _find_descriptor(path)
-    if descriptor is not None:
-        _send(os.dup(descriptor), write)
-        return
-    if before is not None and not stat.S_ISREG(before.st_mode):
-        _send(path, write)
+    if descriptor is not None or (before is not None and not stat.S_ISREG(before.st_mode)):
+        with _sent(path if descriptor is None else os.dup(descriptor)) as temporary:
+            yield temporary
         return
     target = path.resolve()
     _remove_abandoned(target)
     temporary = target.with_name(f"{_prefix(target)}{os.getpid()}")
     try:
-        write(temporary)
+        yield temporary
         if before is not None:
             with suppress(PermissionError):
                 os.chown(temporary, before.st_uid, before.st_gid)
@@ -78,11 +96,12 @@ def _find_descriptor(path: Path) -> int | None:
     return None
 
 
-def _send(sink: Path | int, write: Callable[[Path], object]) -> None:
+@contextmanager
+def _sent(sink: Path | int) -> Iterator[Path]:
     # Opened first, a folder is refused before any work.
     with open(sink, "wb") as file, tempfile.TemporaryDirectory() as folder:  # noqa: PTH123
         whole = Path(folder) / "whole"
-        write(whole)
+        yield whole
         with whole.open("rb") as content:
             shutil.copyfileobj(content, file)
 
