@@ -21,8 +21,9 @@ from tqdm import tqdm
 from marl_lanes import LaneChangeEnv, Scenario, ScenarioError, load_scenario
 from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
+from marl_lanes.evaluation.driving import Policy
 from marl_lanes.evaluation.metrics import evaluate
-from marl_lanes.evaluation.rollout import Policy, check_episodes, run_maneuvers
+from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_crossplay
 from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy

@@ -5,10 +5,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from marl_lanes.envs.followers import find_policies
+from marl_lanes.evaluation.driving import Policy
 from marl_lanes.evaluation.intervals import CONFIDENCE, NUM_RESAMPLES, Estimate, estimate_mean
 from marl_lanes.evaluation.measures import measure
 from marl_lanes.evaluation.metrics import AVERAGES, summarise
-from marl_lanes.evaluation.rollout import Maneuver, Policy, check_episodes, run_maneuvers
+from marl_lanes.evaluation.rollout import Maneuver, check_episodes, run_maneuvers
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.traffic.roles.external import FollowerPolicy, choose_policies
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_lanes.evaluation.crossplay import drive_pairs
+from marl_lanes.evaluation.driving import Policy
 from marl_lanes.evaluation.intervals import estimate_mean
-from marl_lanes.evaluation.rollout import Maneuver, Policy
+from marl_lanes.evaluation.rollout import Maneuver
 from marl_lanes.evaluation.safety import entry_row
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import NONE, Phase

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from marl_lanes.evaluation.rollout import Policy
+from marl_lanes.evaluation.driving import Policy
 from marl_lanes.naf.lateral import TUNED_CASCADE, steer_by_cascade
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.traffic.roles.changer import CHANGER

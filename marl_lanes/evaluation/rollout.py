@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.evaluation.aftermath import Aftermath, Watch
+from marl_lanes.evaluation.driving import Policy, drive
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.traffic.command.phases import reference_lane
 from marl_lanes.traffic.counterfactual import accelerations_without_change
@@ -26,8 +27,8 @@ _lane_centre = on_columns(lane_centre)
 _reference_lane = on_columns(reference_lane)
 _bumper_gap = on_columns(bumper_gap)
 
-Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
-"""Observations of N acting agents, (N, F), to their actions, (N, D)."""
+Observe = Callable[[Simulator], Callable[[], object]]
+"""Given the roads before their first step; returns what is called after every step."""
 
 TRACE = np.dtype(
     [
@@ -271,6 +272,7 @@ def run_maneuvers(
     *,
     seed: int = 0,
     follower_policies: Mapping[str, FollowerPolicy] | None = None,
+    observe: Observe | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[Maneuver]:
     """The first ``num_maneuvers`` commands of seeded episodes, ordered by road and command.
@@ -284,6 +286,7 @@ def run_maneuvers(
         num_maneuvers: >= 1.
         seed: of the traffic.
         follower_policies: by disposition; they have priority over registered and saved ones.
+        observe: sees the roads, for example to record them; it must not change them.
         progress: called after every step with the number of finished commands.
 
     Raises:
@@ -301,17 +304,17 @@ def run_maneuvers(
     )
     simulator.reset()
     recorder = _Recorder(simulator)
-    actions = np.zeros((simulator.num_envs, simulator.num_slots, simulator.num_actions))
-    while not simulator.roads["is_done"].all() or not recorder.watch.is_over:
-        acting = simulator.is_acting
-        actions.fill(0.0)
-        if acting.any():
-            actions[acting] = policy(simulator.state.observations[acting])
-        recorder.before()
-        simulator.step(actions)
+    see = None if observe is None else observe(simulator)
+    recorder.before()
+    for _ in drive(simulator, policy):
         recorder.after()
+        if see is not None:
+            see()
         if progress is not None:
             progress(len(recorder.maneuvers))
+        if simulator.roads["is_done"].all() and recorder.watch.is_over:
+            break
+        recorder.before()
     maneuvers = recorder.finish()[:num_maneuvers]
     if not maneuvers:
         raise ScenarioError(

@@ -1,0 +1,125 @@
+"""Trajectories of driven roads: of an evaluation while it runs, or of one road by itself."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from marl_lanes.envs.followers import find_policies
+from marl_lanes.evaluation.aftermath import WATCHED_TIME
+from marl_lanes.evaluation.driving import Policy, drive
+from marl_lanes.evaluation.rollout import Observe
+from marl_lanes.scenario import Scenario, ScenarioError
+from marl_lanes.traffic.roles.external import FollowerPolicy
+from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.trajectory.file import Trajectory, TrajectoryWriter, make_trajectory
+from marl_lanes.trajectory.frames import FrameReader, Rows
+from marl_lanes.trajectory.metadata import Metadata
+
+
+class RoadRecorder:
+    """Reads roads after every step, each until WATCHED_TIME after its episode's end.
+
+    Args:
+        simulator: that has been reset; it is only read.
+        write: takes the rows, (N,) ROW, at first those before the first step.
+        roads: indices of the roads within the simulator; by default all.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        write: Callable[[Rows], object],
+        roads: Sequence[int] | None = None,
+    ) -> None:
+        self._simulator = simulator
+        self._write = write
+        self._reader = FrameReader(simulator, roads)
+        self._num_watched = round(WATCHED_TIME / simulator.scenario.time_step)
+        self._last_steps = np.full(simulator.num_envs, np.iinfo(np.int64).max)
+        write(self._reader.read())
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no road is left to record."""
+        return not self._reader.roads.size
+
+    def advance(self) -> None:
+        """Record the state after a step; to be called after every step."""
+        roads = self._reader.roads
+        if not roads.size:
+            return
+        self._write(self._reader.read())
+        state = self._simulator.roads[roads]
+        end = np.where(state["is_done"], state["step"] + self._num_watched, self._last_steps[roads])
+        self._last_steps[roads] = np.minimum(self._last_steps[roads], end)
+        is_left = state["step"] < self._last_steps[roads]
+        if not is_left.all():
+            self._reader = FrameReader(self._simulator, roads[is_left].tolist())
+
+
+def recording(writer: TrajectoryWriter, roads: Sequence[int] | None = None) -> Observe:
+    """For ``run_maneuvers``: write the roads to a file while they are driven.
+
+    Args:
+        writer: that has been opened.
+        roads: indices of the roads; by default all.
+    """
+    return lambda simulator: RoadRecorder(simulator, writer.write, roads).advance
+
+
+def record_road(
+    scenario: Scenario,
+    policy: Policy,
+    *,
+    seed: int = 0,
+    name: str,
+    road: int = 0,
+    follower_policies: Mapping[str, FollowerPolicy] | None = None,
+    is_enough: Callable[[Rows], bool] | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Trajectory:
+    """Drive one road for an episode, and until its last vehicles have settled.
+
+    It is the same road as in an evaluation with the same seed.
+
+    Args:
+        scenario: of the road.
+        policy: of the lane changers.
+        seed: of the traffic, 0 to 2^63 - 1.
+        name: of the policy, for the metadata.
+        road: index of the road within the seed's roads.
+        follower_policies: by disposition; they have priority over registered and saved ones.
+        is_enough: given the rows of a step; whether the recording ends with it. Needed if the
+            scenario's episodes have no end.
+        progress: called after every step with the number of steps.
+
+    Raises:
+        ScenarioError: the episodes have no end and ``is_enough`` is None, or a disposition of the
+            followers has no policy.
+        CheckpointError: the checkpoint of the learned followers cannot be read or does not fit.
+        ValueError: seed or road is out of range.
+    """
+    has_end = scenario.horizon is not None or (
+        scenario.num_agents is not None and scenario.command.probability > 0.0
+    )
+    if is_enough is None and not has_end:
+        raise ScenarioError(
+            f"scenario {scenario.name!r}: its episodes have no end (num_agents and horizon are "
+            "null): the recording needs a last time"
+        )
+    simulator = Simulator(
+        scenario,
+        seed=seed,
+        follower_policies=find_policies(scenario, follower_policies),
+        first_road=road,
+    )
+    simulator.reset()
+    blocks: list[Rows] = []
+    recorder = RoadRecorder(simulator, blocks.append)
+    for step, _ in enumerate(drive(simulator, policy), 1):
+        recorder.advance()
+        if progress is not None:
+            progress(step)
+        if recorder.is_over or (is_enough is not None and is_enough(blocks[-1])):
+            break
+    return make_trajectory(Metadata(simulator.scenario, seed, name), blocks)
