@@ -76,7 +76,6 @@ def record_road(
     road: int = 0,
     follower_policies: Mapping[str, FollowerPolicy] | None = None,
     is_enough: Callable[[Rows], bool] | None = None,
-    progress: Callable[[int], object] | None = None,
 ) -> Trajectory:
     """Drive one road for an episode, and until its last vehicles have settled.
 
@@ -91,7 +90,6 @@ def record_road(
         follower_policies: by disposition; they have priority over registered and saved ones.
         is_enough: given the rows of a step; whether the recording ends with it. Needed if the
             scenario's episodes have no end.
-        progress: called after every step with the number of steps.
 
     Raises:
         ScenarioError: the episodes have no end and ``is_enough`` is None, or a disposition of the
@@ -116,10 +114,8 @@ def record_road(
     simulator.reset()
     blocks: list[Rows] = []
     recorder = RoadRecorder(simulator, blocks.append)
-    for step, _ in enumerate(drive(simulator, policy), 1):
+    for _ in drive(simulator, policy):
         recorder.advance()
-        if progress is not None:
-            progress(step)
         if recorder.is_over or (is_enough is not None and is_enough(blocks[-1])):
             break
     return make_trajectory(Metadata(simulator.scenario, seed, name), blocks)
