@@ -93,7 +93,7 @@ def test_the_wheel_carries_its_license_and_command(wheel, names):
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
     (entry_points,) = [name for name in names if name.endswith("entry_points.txt")]
     with zipfile.ZipFile(wheel) as archive:
-        assert "marl-lanes = marl_lanes.cli:main" in archive.read(entry_points).decode()
+        assert "marl-lanes = marl_lanes.cli.main:main" in archive.read(entry_points).decode()
 
 
 def test_the_installed_wheel_runs_from_another_folder(wheel, tmp_path):

@@ -15,7 +15,7 @@ import yaml
 from programs import BUSY, load_program, run_main
 
 from marl_lanes import load_scenario
-from marl_lanes.cli import main as command
+from marl_lanes.cli.main import main as command
 from marl_lanes.training.checkpoint import load_policy
 
 PROGRAM = Path(__file__).parents[2] / "agents" / "baselines" / "train.py"

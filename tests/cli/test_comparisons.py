@@ -1,41 +1,13 @@
-"""The command line: what it prints, what it writes, and how it fails."""
+"""The commands that drive: what they print, what they write, and how they fail."""
 
 import json
-import sys
 
 import pytest
-import torch
-import yaml
+from cli.commands import CROSSPLAY, EVALUATE, FOLLOWERS, assert_refused, files
 
-from marl_lanes import cli, list_scenarios, load_scenario
-from marl_lanes.cli import main
-from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes import load_scenario
+from marl_lanes.cli.main import main
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
-
-torch.set_num_threads(1)
-EVALUATE = ["evaluate", "--policy", "damped-prior", "--maneuvers", "4"]
-
-
-def test_every_scenario_is_listed(capsys):
-    assert main(["scenarios"]) == 0
-    captured = capsys.readouterr()
-    rows = captured.out.splitlines()
-    assert [row.split()[0] for row in rows] == list_scenarios()
-    for row, name in zip(rows, list_scenarios(), strict=True):
-        assert row.endswith(load_scenario(name).description)
-    assert captured.err == ""
-
-
-@pytest.mark.parametrize("name", list_scenarios())
-def test_a_printed_scenario_is_the_scenario(capsys, tmp_path, name):
-    assert main(["scenarios", name]) == 0
-    text = capsys.readouterr().out
-    assert load_scenario(yaml.safe_load(text)) == load_scenario(name)
-    file = tmp_path / "printed.yaml"
-    file.write_text(text, encoding="utf-8")
-    assert load_scenario(file) == load_scenario(name)
-    assert main(["scenarios", str(file)]) == 0
-    assert capsys.readouterr().out == text
 
 
 @pytest.mark.slow
@@ -56,38 +28,9 @@ def test_an_evaluation_is_printed_and_written(capsys, tmp_path):
     assert [path.name for path in file.parent.iterdir()] == ["result.json"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("policy", ["lane-keeping", "random"])
-def test_policies_without_learning(capsys, policy):
-    arguments = ["evaluate", "--policy", policy, "--maneuvers", "2"]
-    outputs = []
-    for _ in range(2):
-        assert main(arguments) == 0
-        outputs.append(capsys.readouterr().out)
-    assert outputs[0] == outputs[1]
-    rate = dict(line.split(maxsplit=1) for line in outputs[0].splitlines())["completion_rate"]
-    assert float(rate) == 0.0 or policy == "random"
-
-
-@pytest.mark.slow
-def test_a_checkpoint_is_evaluated(capsys, tmp_path):
-    """The damped prior from a file: the same numbers as by its name."""
-    torch.manual_seed(0)
-    file = tmp_path / "policy.pt"
-    save_checkpoint(file, make_network(load_scenario("paper"), "damped"), "paper", 0)
-    assert main(["evaluate", str(file), "--maneuvers", "4"]) == 0
-    first = capsys.readouterr().out.splitlines()
-    assert main(EVALUATE) == 0
-    second = capsys.readouterr().out.splitlines()
-    assert first[1].split() == ["policy", str(file)]
-    assert [first[0], *first[2:]] == [second[0], *second[2:]]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["scenarios", "papier"], "scenario 'papier': no such scenario"),
-        (["scenarios", "absent.yaml"], "absent.yaml"),
         ([*EVALUATE, "--scenario", "papier"], "scenario 'papier': no such scenario"),
         ([*EVALUATE[:-1], "0"], "num_maneuvers = 0: must be at least 1"),
         ([*EVALUATE, "--seed", "-1"], "seed = -1"),
@@ -110,77 +53,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     (tmp_path / "text.pt").write_text("hello\n", encoding="utf-8")
     other = load_scenario("blind.yaml")
     save_checkpoint(tmp_path / "wrong.pt", make_network(other, "mlp"), "blind", 0)
-    before = set(tmp_path.iterdir())
-    extra = ["--json", "result.json"] if arguments[0] == "evaluate" else []
-    assert main([*arguments, *extra]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("error: ")
-    assert message in captured.err
-    assert len(captured.err.splitlines()) == 1
-    assert set(tmp_path.iterdir()) == before
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        [],
-        ["train"],
-        ["evaluate"],
-        ["evaluate", "--policy", "perfect"],
-        ["evaluate", "policy.pt", "--policy", "random"],
-        [*EVALUATE, "--maneuvers", "many"],
-        ["crossplay", "--changers", "random"],
-        ["crossplay", "--followers", "neutral"],
-        ["followers"],
-        ["followers", "--figure", "x.png", "--policy", "perfect"],
-    ],
-)
-def test_bad_arguments_end_with_2(capsys, arguments):
-    with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    assert caught.value.code == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "usage: marl-lanes" in captured.err
-
-
-@pytest.mark.parametrize("command", ["evaluate", "crossplay", "followers"])
-def test_help_ends_with_0(capsys, command):
-    with pytest.raises(SystemExit) as caught:
-        main([command, "--help"])
-    assert caught.value.code == 0
-    shown = capsys.readouterr().out
-    assert "--maneuvers" in shown
-    assert "--import MODULE" in shown
-
-
-QUICK = "{num_agents: 4, departures: {interval: [2.0, 4.0]}, max_vehicles: 128}"
-CROSSPLAY = ["crossplay", "--maneuvers", "8", "--changers"]
-FOLLOWERS = ["followers", "--maneuvers", "12", "--seed", "1"]
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """Two runs' changers, a follower's checkpoint and two quick scenarios."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "quick.yaml").write_text(QUICK, encoding="utf-8")
-    weak = "{action: {max_yaw_acceleration: 0.25}, " + QUICK[1:]
-    (tmp_path / "weak.yaml").write_text(weak, encoding="utf-8")
-    (tmp_path / "text.pt").write_text("hello\n", encoding="utf-8")
-    torch.manual_seed(0)
-    network = make_network(load_scenario("paper"), "damped")
-    for name in ("runs/a/checkpoints/final.pt", "runs/a/checkpoints/step_7.pt", "b.pt"):
-        save_checkpoint(tmp_path / name, network, "paper", 0)
-    save_checkpoint(tmp_path / "weak.pt", make_network(load_scenario("weak.yaml"), "mlp"), "w", 0)
-    driver = make_network(load_scenario("quick.yaml"), "mlp", role=FOLLOWER)
-    for name in ("runs/rude/checkpoints/final.pt", "runs/kind/checkpoints/final.pt"):
-        save_checkpoint(tmp_path / name, driver, "quick", 0)
-    return tmp_path
-
-
-def files(folder):
-    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert_refused(capsys, tmp_path, [*arguments, "--json", "result.json"], message)
 
 
 @pytest.mark.slow
@@ -232,51 +105,6 @@ def test_a_changer_may_bring_its_scenario(capsys, folder):
     result = json.loads((folder / "table.json").read_text(encoding="utf-8"))
     assert result["changers"] == {"weak@weak": "weak", "b": "quick", "b@paper": "paper"}
     assert [pair["scenario"] for pair in result["pairs"]] == ["weak", "quick", "paper"]
-
-
-@pytest.mark.parametrize(
-    ("entries", "labels"),
-    [
-        (["runs/a/checkpoints/final.pt", "runs/b/checkpoints/final.pt"], ["a", "b"]),
-        (["x/runs/a/checkpoints/final.pt", "y/runs/a/checkpoints/final.pt", "c.pt"],
-         ["x/runs/a", "y/runs/a", "c"]),
-        (["runs/a/checkpoints/step_1.pt", "runs/a/checkpoints/step_2.pt"],
-         ["a/step_1", "a/step_2"]),
-        (["runs/a/checkpoints/final.pt", "runs/a/checkpoints/step_2.pt"], ["a", "a/step_2"]),
-        (["one/policy.pt", "two/policy.pt"], ["one/policy", "two/policy"]),
-        (["/r/one/policy.pt", "policy.pt"], ["one/policy", "policy"]),
-        (["random", "x/random.pt"], ["random", "x/random"]),
-        (["p.pt", "p.pt@settled", "p.pt@my/settled.yaml"],
-         ["p", "p.pt@settled", "p.pt@my/settled.yaml"]),
-    ],
-)  # fmt: skip
-def test_every_changer_has_a_name_of_its_own(entries, labels):
-    found = cli._label_changers(entries)
-    assert len(found) == len(entries)
-    assert list(found) == labels
-
-
-def test_a_module_of_ones_own_registers_followers(capsys, folder):
-    text = (
-        "import numpy as np\n"
-        "from marl_lanes import register_follower\n"
-        "register_follower('brakes', lambda seen: np.full(len(seen), -3.0))\n"
-    )
-    (folder / "my_followers.py").write_text(text, encoding="utf-8")
-    arguments = [*CROSSPLAY, "damped-prior", "--followers", "neutral", "brakes"]
-    arguments += ["--scenario", "quick.yaml", "--json", "table.json"]
-    before = list(sys.path)
-    try:
-        assert main(arguments) == 2
-        assert "brakes" in capsys.readouterr().err
-        assert main([*arguments, "--import", "my_followers"]) == 0
-    finally:
-        sys.modules.pop("my_followers", None)
-    assert sys.path == before
-    pairs = json.loads((folder / "table.json").read_text(encoding="utf-8"))["pairs"]
-    braking = [pair["statistics"]["mean_max_follower_braking_all"]["value"] for pair in pairs]
-    assert braking[1] > 2.5
-    assert braking[1] != braking[0]
 
 
 @pytest.mark.slow
@@ -336,29 +164,4 @@ def test_bad_comparisons_are_one_line_and_nothing_is_driven(
         raise AssertionError("driven, though the arguments are wrong")
 
     monkeypatch.setattr("marl_lanes.evaluation.crossplay.run_maneuvers", drive)
-    before = files(folder)
-    assert main(arguments) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("error: ")
-    assert message in captured.err
-    assert len(captured.err.splitlines()) == 1
-    assert files(folder) == before
-
-
-def test_a_figure_needs_matplotlib(capsys, folder, monkeypatch):
-    monkeypatch.setattr(cli, "find_spec", lambda _: None)
-    assert main([*FOLLOWERS, "--figure", str(folder / "x.png")]) == 2
-    assert "pip install 'marl-lanes[train]'" in capsys.readouterr().err
-
-
-def test_progress_is_shown_on_a_terminal_alone(capsys, monkeypatch):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    show = cli._Progress("driving", 400)
-    for count in range(401):
-        show(count)
-    show.close()
-    shown = capsys.readouterr().err
-    assert shown.count("\r") == 103
-    assert "\rdriving  50 %" in shown
-    assert shown.endswith(" " * 20 + "\r")
+    assert_refused(capsys, folder, arguments, message)

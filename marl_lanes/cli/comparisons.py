@@ -1,0 +1,175 @@
+"""Commands that drive policies on seeded traffic and compare what they achieve."""
+
+import argparse
+from pathlib import Path
+
+from marl_lanes.cli.arguments import (
+    Commands,
+    add_followers,
+    add_import,
+    add_json,
+    add_policy,
+    add_traffic,
+    check_outputs,
+    import_modules,
+)
+from marl_lanes.cli.names import label_changers, label_followers
+from marl_lanes.cli.policies import UNTRAINED, make_policy
+from marl_lanes.cli.progress import Progress
+from marl_lanes.scenario import load_scenario
+from marl_lanes.scenario.followers import SCRIPTED
+
+
+def add(commands: Commands) -> None:
+    """Add ``evaluate``, ``crossplay`` and ``followers``."""
+    _add_evaluate(commands)
+    _add_crossplay(commands)
+    _add_comparison_of_followers(commands)
+
+
+def _add_evaluate(commands: Commands) -> None:
+    evaluate = commands.add_parser(
+        "evaluate",
+        help="run a policy on seeded traffic and compare it with the optimum",
+        description="Run a policy on seeded traffic, observe every vehicle for 10 s after its "
+        "change, and print the metrics that docs/metrics.md defines. The first one is the success "
+        "rate: the share of maneuvers that complete and, in these 10 s, do not leave the road, "
+        "collide or leave their lane.",
+    )
+    add_policy(evaluate, is_required=True)
+    add_traffic(evaluate, num_maneuvers=1000)
+    add_import(evaluate)
+    add_json(evaluate)
+    evaluate.set_defaults(run=_evaluate)
+
+
+def _add_crossplay(commands: Commands) -> None:
+    crossplay = commands.add_parser(
+        "crossplay",
+        help="run every lane changer against every kind of follower",
+        description="Run every lane changer against every kind of follower, each pair on the "
+        "same seeded traffic, and print the metrics of each pair with 95 % confidence intervals; "
+        "docs/metrics.md defines them.",
+    )
+    crossplay.add_argument(
+        "--changers",
+        nargs="+",
+        required=True,
+        metavar="CHANGER",
+        help=f"checkpoints, or {', '.join(UNTRAINED)}; CHANGER@SCENARIO runs on that scenario "
+        "instead of --scenario, also with the followers replaced",
+    )
+    add_followers(crossplay, required=True)
+    add_traffic(crossplay, num_maneuvers=1000)
+    add_import(crossplay)
+    add_json(crossplay)
+    crossplay.add_argument("--figure", type=Path, help="draw heat maps to this file")
+    crossplay.set_defaults(run=_crossplay)
+
+
+def _add_comparison_of_followers(commands: Commands) -> None:
+    followers = commands.add_parser(
+        "followers",
+        help="draw the gap behind the same maneuver with every kind of follower",
+        description="Run the same seeded maneuver with every kind of follower, draw the gap "
+        "behind the lane changer and the follower's acceleration over time, and print the mean "
+        "gap at the entry into the lane.",
+    )
+    add_policy(followers, is_required=False)
+    add_followers(followers, default=list(SCRIPTED))
+    add_traffic(followers, num_maneuvers=200)
+    add_import(followers)
+    add_json(followers)
+    followers.add_argument(
+        "--maneuver",
+        type=int,
+        help="index of the maneuver to draw, from 0 (default: the first that engages with a "
+        "follower near)",
+    )
+    followers.add_argument("--figure", type=Path, required=True, help="draw to this file")
+    followers.set_defaults(run=_compare_followers)
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    # Imported here, because `marl-lanes scenarios` and errors in the arguments do not need it.
+    from marl_lanes.evaluation.metrics import evaluate
+    from marl_lanes.evaluation.rollout import run_maneuvers
+    from marl_lanes.evaluation.tables import format_summary
+    from marl_lanes.files import write_json
+
+    check_outputs(options.json, None)
+    import_modules(options.modules)
+    scenario = load_scenario(options.scenario)
+    name = options.policy or options.checkpoint
+    policy = make_policy(name, scenario, options.seed)
+    number = max(1, options.maneuvers)
+    show = Progress("evaluating", 2 * number)
+    maneuvers = run_maneuvers(
+        scenario,
+        policy,
+        options.maneuvers,
+        seed=options.seed,
+        progress=lambda count: show(min(count, number)),
+    )
+    summary = evaluate(maneuvers, scenario, progress=lambda count: show(number + count))
+    show.close()
+    result = {"scenario": scenario.name, "policy": name, "seed": options.seed, **summary}
+    print(format_summary(result))
+    if options.json is not None:
+        write_json(options.json, result)
+
+
+def _crossplay(options: argparse.Namespace) -> None:
+    from marl_lanes.evaluation.crossplay import crossplay
+    from marl_lanes.evaluation.tables import format_crossplay
+    from marl_lanes.files import write_json
+
+    check_outputs(options.json, options.figure)
+    import_modules(options.modules)
+    sources = label_changers(options.changers)
+    changers = {}
+    for label, (name, source) in sources.items():
+        scenario = load_scenario(source or options.scenario)
+        changers[label] = scenario, make_policy(name, scenario, options.seed)
+    followers = label_followers(options.followers)
+    show = Progress("driving", len(changers) * len(followers) * options.maneuvers)
+    result = crossplay(changers, followers, options.maneuvers, seed=options.seed, progress=show)
+    show.close()
+    print(format_crossplay(result))
+    if options.json is not None:
+        policies = {label: name for label, (name, _) in sources.items()}
+        write_json(options.json, {**result, "policies": policies})
+    if options.figure is not None:
+        from marl_lanes.evaluation.figures import draw_crossplay
+
+        draw_crossplay(options.figure, result)
+
+
+def _compare_followers(options: argparse.Namespace) -> None:
+    from marl_lanes.evaluation.gaps import compare_followers
+    from marl_lanes.evaluation.tables import format_gaps
+    from marl_lanes.files import write_json
+
+    check_outputs(options.json, options.figure)
+    import_modules(options.modules)
+    from marl_lanes.evaluation.figures import draw_gaps
+
+    scenario = load_scenario(options.scenario)
+    name = options.policy or options.checkpoint or "tuned-cascade"
+    policy = make_policy(name, scenario, options.seed)
+    followers = label_followers(options.followers)
+    show = Progress("driving", len(followers) * options.maneuvers)
+    result = compare_followers(
+        scenario,
+        policy,
+        followers,
+        options.maneuvers,
+        seed=options.seed,
+        maneuver=options.maneuver,
+        progress=show,
+    )
+    show.close()
+    print(format_gaps(result))
+    if options.json is not None:
+        write_json(options.json, {"policy": name, **result})
+    draw_gaps(options.figure, result)

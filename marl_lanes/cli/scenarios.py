@@ -1,0 +1,26 @@
+"""The command that shows scenarios."""
+
+import argparse
+
+import yaml
+
+from marl_lanes.cli.arguments import Commands
+from marl_lanes.scenario import list_scenarios, load_scenario
+
+
+def add(commands: Commands) -> None:
+    """Add ``scenarios``."""
+    scenarios = commands.add_parser(
+        "scenarios", help="list the shipped scenarios, or print one in full"
+    )
+    scenarios.add_argument("scenario", nargs="?", help="a shipped name or the path of a YAML file")
+    scenarios.set_defaults(run=_show_scenarios)
+
+
+def _show_scenarios(options: argparse.Namespace) -> None:
+    if options.scenario is not None:
+        scenario = load_scenario(options.scenario)
+        print(yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False), end="")
+        return
+    for name in list_scenarios():
+        print(f"{name:12} {load_scenario(name).description}")
