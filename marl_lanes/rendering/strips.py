@@ -1,0 +1,135 @@
+"""The whole road as straight strips, in reading order."""
+
+import math
+
+import numpy as np
+
+from marl_lanes.rendering.camera import Camera
+from marl_lanes.rendering.layout import Layout, Strip
+from marl_lanes.rendering.lettering import Lettering
+from marl_lanes.rendering.loading import pygame
+from marl_lanes.rendering.palette import GRID, MARKING, MUTED, ROAD, TEXT, mix
+from marl_lanes.rendering.spotlight import Focus
+from marl_lanes.rendering.sprites import Look, Sprites
+from marl_lanes.scenario import Scenario
+from marl_lanes.traffic.machine.state import Fate, Phase
+from marl_lanes.trajectory.frames import Frame
+
+_MIN_LENGTH, _MIN_WIDTH = 3.0, 2.0
+"""Least size of a vehicle [pixel]."""
+
+_TICKS = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0, 10_000.0, 20_000.0)
+"""[m] Distances between two labels."""
+
+
+class Strips:
+    """Draws the strips; lengths and widths have different scales.
+
+    Args:
+        scenario: of the road.
+        layout: with the strips.
+    """
+
+    def __init__(self, scenario: Scenario, layout: Layout) -> None:
+        self._strips = layout.strips
+        self._layout = layout
+        self._lanes = scenario.road.num_lanes
+        self._lane_width = scenario.road.lane_width
+        self._length = scenario.road.length
+        if not self._strips:
+            return
+        first = self._strips[0]
+        self._along = first.rect.width / (first.end - first.start)
+        self._across = first.rect.height / (self._lanes * self._lane_width)
+        length = max(scenario.vehicle.length * self._along, _MIN_LENGTH)
+        width = max(scenario.vehicle.width * self._across, _MIN_WIDTH)
+        self._sprites = Sprites(length, width)
+        # One that drives a lane change is a bit larger, so that one finds it.
+        self._large = Sprites(1.35 * length + 1.0, 1.35 * width + 1.0)
+
+    def draw_ground(self, surface: "pygame.Surface") -> None:
+        """Draw what stands still: lanes and ticks."""
+        for strip in self._strips:
+            rect = strip.rect
+            surface.fill(ROAD, rect)
+            for lane in range(1, self._lanes):
+                y = rect.bottom - round(lane * rect.height / self._lanes)
+                surface.fill(mix(ROAD, MARKING, 0.22), (rect.left, y, rect.width, 1))
+            for y in (rect.top - 1, rect.bottom):
+                surface.fill(mix(ROAD, MARKING, 0.6), (rect.left, y, rect.width, 1))
+
+    def draw(
+        self,
+        surface: "pygame.Surface",
+        lettering: Lettering,
+        frame: Frame,
+        focus: Focus,
+        camera: Camera,
+    ) -> None:
+        """Draw the vehicles, the camera's window and the positions."""
+        if not self._strips:
+            return
+        for strip in self._strips:
+            self._label(surface, lettering, strip)
+        self._draw_vehicles(surface, frame, focus)
+        for strip in self._strips:
+            self._mark_window(surface, strip, camera)
+
+    def _label(self, surface: "pygame.Surface", lettering: Lettering, strip: Strip) -> None:
+        small = self._layout.small
+        widest = lettering.measure(f"{self._length:.0f} m", small)[0]
+        step = next((step for step in _TICKS if step * self._along > 1.8 * widest), _TICKS[-1])
+        first = math.ceil(strip.start / step - 1e-9)
+        for number in range(first, math.floor(strip.end / step + 1e-9) + 1):
+            x = strip.rect.left + (number * step - strip.start) * self._along
+            surface.fill(MUTED, (round(x), strip.rect.top - 4, 1, 4))
+            lettering.put(
+                surface,
+                f"{number * step:.0f} m",
+                (x, strip.rect.top - 4),
+                small,
+                MUTED,
+                anchor="midbottom",
+            )
+
+    def _draw_vehicles(self, surface: "pygame.Surface", frame: Frame, focus: Focus) -> None:
+        rows = frame.rows
+        piece = self._strips[0].end - self._strips[0].start
+        index = np.clip((rows["position"] // piece).astype(int), 0, len(self._strips) - 1)
+        left, bottom = self._strips[0].rect.left, [strip.rect.bottom for strip in self._strips]
+        x = (left + (rows["position"] - index * piece) * self._along).tolist()
+        y = (np.asarray(bottom)[index] - rows["lateral_position"] * self._across).tolist()
+        ratio = self._across / self._along
+        yaw = np.arctan2(np.sin(rows["yaw"]) * ratio, np.cos(rows["yaw"])).tolist()
+        is_agent = (rows["phase"] != Phase.ABSENT) | (rows["outcome"] != 0)
+        is_lost = (rows["fate"] == Fate.COLLIDES) | (rows["fate"] == Fate.STRAYS)
+        pictures, above = [], []
+        for number, (is_red, is_gone) in enumerate(
+            zip(is_agent.tolist(), is_lost.tolist(), strict=True)
+        ):
+            look = Look(is_changer=is_red, is_lost=is_gone)
+            is_large = is_red or is_gone or number == focus.row
+            sprites = self._large if is_large else self._sprites
+            found = sprites.find(look, x[number], y[number], yaw[number])
+            (above if is_large else pictures).append(found)
+        surface.fblits(pictures, pygame.BLEND_PREMULTIPLIED)
+        surface.fblits(above, pygame.BLEND_PREMULTIPLIED)
+        if focus.row is not None:
+            self._point_at(surface, x[focus.row], bottom[int(index[focus.row])])
+
+    def _point_at(self, surface: "pygame.Surface", x: float, bottom: int) -> None:
+        """A triangle below the strip, at the followed vehicle."""
+        size = max(round(0.35 * self._layout.text), 3)
+        top = bottom + 2
+        pygame.draw.polygon(
+            surface, TEXT, [(x, top), (x - size, top + size), (x + size, top + size)]
+        )
+
+    def _mark_window(self, surface: "pygame.Surface", strip: Strip, camera: Camera) -> None:
+        start, end = max(camera.start, strip.start), min(camera.end, strip.end)
+        if start >= end:
+            return
+        x = strip.rect.left + round((start - strip.start) * self._along)
+        width = max(round((end - start) * self._along), 2)
+        window = pygame.Rect(x, strip.rect.top - 2, width, strip.rect.height + 4)
+        pygame.draw.rect(surface, mix(GRID, MARKING, 0.55), window, 1)
