@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from marl_lanes.cli.policies import UNTRAINED
+from marl_lanes.extras import need
 from marl_lanes.scenario.followers import SCRIPTED
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -103,6 +104,24 @@ def check_outputs(json: Path | None, figure: Path | None) -> None:
         from marl_lanes.evaluation.figures import check_figure
 
         check_figure(figure)
+
+
+def check_trajectories(path: Path | None) -> None:
+    """Reject a file of trajectories that cannot be written, before anything is computed.
+
+    Args:
+        path: the value of --trajectories.
+
+    Raises:
+        ValueError: it is a folder, or not named as Parquet files are, or pyarrow is missing.
+    """
+    if path is None:
+        return
+    if path.suffix.lower() != ".parquet":
+        raise ValueError(f"--trajectories {path}: must end in .parquet")
+    if path.is_dir():
+        raise ValueError(f"--trajectories {path}: must be a file, not a folder")
+    need("pyarrow", "view")
 
 
 def import_modules(names: Sequence[str]) -> None:

@@ -8,11 +8,14 @@ from typing import Any
 from marl_lanes.cli.policies import UNTRAINED
 
 
-def label_changers(entries: Sequence[str]) -> dict[str, tuple[str, str | None]]:
+def label_changers(
+    entries: Sequence[str], option: str = "--changers"
+) -> dict[str, tuple[str, str | None]]:
     """Label to policy and scenario; None if the entry names no scenario.
 
     Args:
         entries: CHANGER or CHANGER@SCENARIO.
+        option: that they are the values of, for messages.
 
     Returns:
         One entry for each of ``entries``, in their order.
@@ -20,7 +23,7 @@ def label_changers(entries: Sequence[str]) -> dict[str, tuple[str, str | None]]:
     Raises:
         ValueError: an entry is repeated, or a part of it is empty.
     """
-    _refuse_repeats("--changers", entries)
+    _refuse_repeats(option, entries)
     found: dict[str, tuple[str, str | None]] = {}
     parts = {}
     for entry in entries:
@@ -28,7 +31,7 @@ def label_changers(entries: Sequence[str]) -> dict[str, tuple[str, str | None]]:
         if not at or Path(entry).is_file():
             name, at, scenario = entry, "", ""
         elif not name or not scenario:
-            raise ValueError(f"--changers {entry}: must be CHANGER or CHANGER@SCENARIO")
+            raise ValueError(f"{option} {entry}: must be CHANGER or CHANGER@SCENARIO")
         found[entry] = name, scenario or None
         *folders, last = (name,) if name in UNTRAINED else _name_parts(name)
         parts[entry] = (*folders, last + at + Path(scenario).stem)

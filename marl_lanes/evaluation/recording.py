@@ -1,6 +1,7 @@
 """Trajectories of driven roads: of an evaluation while it runs, or of one road by itself."""
 
 from collections.abc import Callable, Mapping, Sequence
+from math import ceil, inf
 
 import numpy as np
 
@@ -75,7 +76,7 @@ def record_road(
     name: str,
     road: int = 0,
     follower_policies: Mapping[str, FollowerPolicy] | None = None,
-    is_enough: Callable[[Rows], bool] | None = None,
+    last_time: float | None = None,
 ) -> Trajectory:
     """Drive one road for an episode, and until its last vehicles have settled.
 
@@ -88,22 +89,24 @@ def record_road(
         name: of the policy, for the metadata.
         road: index of the road within the seed's roads.
         follower_policies: by disposition; they have priority over registered and saved ones.
-        is_enough: given the rows of a step; whether the recording ends with it. Needed if the
+        last_time: the recording ends there, if the episode does not end before [s]; needed if the
             scenario's episodes have no end.
 
     Raises:
-        ScenarioError: the episodes have no end and ``is_enough`` is None, or a disposition of the
+        ScenarioError: the episodes have no end and ``last_time`` is None, or a disposition of the
             followers has no policy.
         CheckpointError: the checkpoint of the learned followers cannot be read or does not fit.
-        ValueError: seed or road is out of range.
+        ValueError: seed, road or last_time is out of range.
     """
+    if last_time is not None and not 0.0 < last_time < inf:
+        raise ValueError(f"last_time = {last_time}: must be above 0")
     has_end = scenario.horizon is not None or (
         scenario.num_agents is not None and scenario.command.probability > 0.0
     )
-    if is_enough is None and not has_end:
+    if last_time is None and not has_end:
         raise ScenarioError(
             f"scenario {scenario.name!r}: its episodes have no end (num_agents and horizon are "
-            "null): the recording needs a last time"
+            "null): a recording needs a last time"
         )
     simulator = Simulator(
         scenario,
@@ -112,10 +115,11 @@ def record_road(
         first_road=road,
     )
     simulator.reset()
+    last_step = inf if last_time is None else ceil(round(last_time / scenario.time_step, 6))
     blocks: list[Rows] = []
     recorder = RoadRecorder(simulator, blocks.append)
     for _ in drive(simulator, policy):
         recorder.advance()
-        if recorder.is_over or (is_enough is not None and is_enough(blocks[-1])):
+        if recorder.is_over or simulator.roads["step"][0] >= last_step:
             break
     return make_trajectory(Metadata(simulator.scenario, seed, name), blocks)

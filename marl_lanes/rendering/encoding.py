@@ -14,13 +14,10 @@ from subprocess import DEVNULL, PIPE
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from marl_lanes.extras import need
 from marl_lanes.files import replacing
-
-Picture = NDArray[np.uint8]
-"""(H, W, 3)."""
+from marl_lanes.rendering.painter import Picture
 
 Write = Callable[[Picture], None]
 """Adds a frame."""
@@ -28,11 +25,11 @@ Write = Callable[[Picture], None]
 # One thread, and neither dates nor versions of programs: same pictures, same bytes.
 _REPEATABLE = ("-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact")
 
+_BT709 = "color_primaries=bt709:color_trc=bt709:colorspace=bt709"
 _MP4 = (
-    *("-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p"),
+    *("-vf", f"scale=out_color_matrix=bt709:out_range=tv,format=yuv420p,setparams={_BT709}"),
     *("-c:v", "libx264", "-preset", "medium", "-crf", "20"),
-    *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
-    *("-color_range", "tv", "-movflags", "+faststart", "-f", "mp4"),
+    *("-movflags", "+faststart", "-f", "mp4"),
 )
 """H.264 as every browser plays it, with the colours that were drawn."""
 
@@ -102,7 +99,7 @@ def _piped(
                 wanted = (height, width, 3)
                 found = f"{picture.dtype} {picture.shape}"
                 raise ValueError(f"picture: {found}: must be uint8 {wanted}")
-            left = memoryview(np.ascontiguousarray(picture)).cast("B")
+            left = np.ascontiguousarray(picture).data.cast("B")
             while left:
                 left = left[pipe.write(left) :]
 

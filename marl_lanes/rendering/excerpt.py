@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from marl_lanes.traffic.machine.state import Outcome
+import numpy as np
+
+from marl_lanes.traffic.machine.state import Outcome, Phase
 from marl_lanes.trajectory.events import Command, find_commands
 from marl_lanes.trajectory.frames import Rows
 from marl_lanes.trajectory.metadata import TrajectoryError
@@ -31,9 +33,7 @@ class Excerpt:
     end: float
 
 
-def find_excerpt(
-    roads: Sequence[Rows], time_step: float, command: int | None = None
-) -> Excerpt | None:
+def find_excerpt(roads: Sequence[Rows], command: int | None = None) -> Excerpt | None:
     """The time in which the roads show the maneuver.
 
     It begins ``LEAD_TIME`` before the vehicle first engages on one of the roads and ends
@@ -42,7 +42,6 @@ def find_excerpt(
 
     Args:
         roads: rows of the same road under several policies, at least one.
-        time_step: of the scenario [s].
         command: k of changer_k; None: chosen.
 
     Returns:
@@ -58,18 +57,34 @@ def find_excerpt(
         if command is None:
             return None
     found = [known.get(command) for known in commands]
-    present = [one for one in found if one is not None]
+    present = [(rows, one) for rows, one in zip(roads, found, strict=True) if one is not None]
     if not present:
         numbers = ", ".join(map(str, commands[0])) or "none"
         raise TrajectoryError(f"maneuver = {command}: must be a command of the road: {numbers}")
-    first = min(_engagement(one, is_last=is_chosen) for one in present)
-    last = max(one.last_step for one in present)
+    first = min(_time_of(rows, _engagement(one, is_last=is_chosen)) for rows, one in present)
+    last = max(_time_of(rows, one.last_step) for rows, one in present)
     return Excerpt(
         command,
         tuple(None if one is None else one.vehicle for one in found),
-        max(0.0, first * time_step - LEAD_TIME),
-        last * time_step + FOLLOW_UP_TIME,
+        max(0.0, first - LEAD_TIME),
+        last + FOLLOW_UP_TIME,
     )
+
+
+def find_crossing(rows: Rows, excerpt: Excerpt) -> float:
+    """When the excerpt's vehicle crosses the marking; the excerpt's middle if it does not [s].
+
+    Args:
+        rows: of the excerpt's first road.
+        excerpt: found on it.
+    """
+    own = rows[(rows["vehicle"] == excerpt.vehicles[0]) & (rows["phase"] == Phase.ENGAGED)]
+    own = own[own["time"] >= excerpt.start]
+    own = own[(own["lane_low"] == np.minimum(own["origin_lane"], own["target_lane"]))]
+    own = own[own["lane_high"] == np.maximum(own["origin_lane"], own["target_lane"])]
+    if not own.size:
+        return 0.5 * (excerpt.start + excerpt.end)
+    return float(np.median(own["time"]))
 
 
 def _choose(commands: Sequence[Command]) -> int | None:
@@ -85,3 +100,7 @@ def _engagement(command: Command, *, is_last: bool) -> int:
     """The step of its first or last engagement; of the command itself if it never engages."""
     steps = command.engaged_steps or (command.first_step,)
     return steps[-1] if is_last else steps[0]
+
+
+def _time_of(rows: Rows, step: int) -> float:
+    return float(rows["time"][rows["step"] == step][0])

@@ -1,6 +1,6 @@
 """Films and stills of recorded roads, several side by side on one clock."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, floor
@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from marl_lanes.rendering.encoding import FilmError, Picture, encoding
+from marl_lanes.rendering.encoding import FilmError, encoding
 from marl_lanes.rendering.interpolation import Timeline
 from marl_lanes.rendering.lettering import Lettering
 from marl_lanes.rendering.loading import pygame
-from marl_lanes.rendering.options import MAX_SIZE, MIN_SIZE, ViewOptions
-from marl_lanes.rendering.painter import Painter
+from marl_lanes.rendering.options import MIN_SIZE, ViewOptions
+from marl_lanes.rendering.painter import Painter, Picture
+from marl_lanes.rendering.palette import BACKGROUND, PANEL, TEXT
 from marl_lanes.trajectory.frames import Frame
 
 RATES = {".mp4": Fraction(30), ".gif": Fraction(25, 2)}
@@ -21,8 +22,10 @@ RATES = {".mp4": Fraction(30), ".gif": Fraction(25, 2)}
 
 _FADE = 0.55
 """Brightness of a road whose recording is over."""
-_BORDER = 2
-"""[pixel] Between the roads."""
+_MIN_HEAD = 18
+"""[pixel] Least height of the line above a road."""
+_ROUNDING = 1e-6
+"""[s]"""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,43 @@ class Clip:
     title: str
     frames: Sequence[Frame]
     follow: str | int | None = None
+
+
+def cut(
+    title: str,
+    frames: Iterable[Frame],
+    start: float,
+    end: float,
+    follow: str | int | None = None,
+) -> Clip:
+    """The frames from one time to another [s]; the nearest one, if there is none.
+
+    Args:
+        title: of the clip.
+        frames: of one road, ordered by time, at least one.
+        start: first time.
+        end: last time.
+        follow: as in ``Clip``.
+    """
+    every = list(frames)
+    chosen = [one for one in every if start - _ROUNDING <= one.time <= end + _ROUNDING]
+    if not chosen:
+        chosen = [every[-1] if every[-1].time < start else every[0]]
+    return Clip(title, chosen, follow)
+
+
+def choose_size(path: Path, number: int) -> tuple[int, int]:
+    """A good size for a number of roads: .gif for a page of text, others for a screen.
+
+    Args:
+        path: of the film or still.
+        number: of roads, >= 1.
+
+    Returns:
+        width and height [pixel].
+    """
+    width, height, row = (800, 450, 240) if path.suffix.lower() == ".gif" else (1280, 720, 320)
+    return width, max(height, row * _count_rows(number)[1])
 
 
 def write_film(
@@ -99,31 +139,37 @@ def write_still(
         write(screen.draw(time))
 
 
-def arrange(number: int, size: tuple[int, int]) -> tuple[int, int, int, int]:
-    """The grid of a number of roads: those of a column have the whole width, up to three rows.
+def arrange(number: int, size: tuple[int, int]) -> tuple[int, tuple[int, int], int]:
+    """The grid of a number of roads: up to three below each other, as roads are long, not high.
 
     Args:
-        number: >= 1.
+        number: of roads, at least 1.
         size: of the film [pixel].
 
     Returns:
-        columns, rows, and the width and height of each road's picture [pixel].
+        columns, the size of each road's picture, and the height of the line above it [pixel].
 
     Raises:
         FilmError: the pictures would be too small.
     """
-    columns = 1 if number <= 3 else ceil(number**0.5)
-    rows = ceil(number / columns)
-    width = (size[0] - (columns - 1) * _BORDER) // columns // 2 * 2
-    height = (size[1] - (rows - 1) * _BORDER) // rows // 2 * 2
+    if number == 1:
+        return 1, size, 0
+    columns, rows = _count_rows(number)
+    width = size[0] // columns // 2 * 2
+    head = 2 * max(_MIN_HEAD // 2, size[1] // (rows * 20))
+    height = size[1] // rows // 2 * 2 - head
     if width < MIN_SIZE[0] or height < MIN_SIZE[1]:
-        needed = columns * (MIN_SIZE[0] + _BORDER), rows * (MIN_SIZE[1] + _BORDER)
-        if needed[0] > MAX_SIZE[0] or needed[1] > MAX_SIZE[1]:
-            raise FilmError(f"{number} roads: too many for one film")
+        needed = columns * MIN_SIZE[0], rows * (MIN_SIZE[1] + _MIN_HEAD + 2)
         raise FilmError(
-            f"size = {size}: must be at least {needed} for {number} roads side by side"
+            f"size = {size}: must be at least {needed[0]} x {needed[1]} for {number} roads"
         )
-    return columns, rows, width, height
+    return columns, (width, height), head
+
+
+def _count_rows(number: int) -> tuple[int, int]:
+    """Columns and rows."""
+    columns = 1 if number <= 3 else ceil(number**0.5)
+    return columns, ceil(number / columns)
 
 
 class _Screen:
@@ -133,33 +179,67 @@ class _Screen:
         if not clips:
             raise FilmError("clips: must have at least one entry")
         self.size = view.size
-        columns, _, width, height = arrange(len(clips), view.size)
-        self._cells = [
-            _Cell(
-                clip,
-                replace(view, size=(width, height), follow=_or_else(clip.follow, view.follow)),
-                (index % columns * (width + _BORDER), index // columns * (height + _BORDER)),
-            )
-            for index, clip in enumerate(clips)
-        ]
+        columns, size, head = arrange(len(clips), view.size)
+        self._cells = []
+        for clip in clips:
+            follow = view.follow if clip.follow is None else clip.follow
+            self._cells.append(_Cell(clip, replace(view, size=size, follow=follow), head))
+        self._columns = columns
         self.start = min(cell.timeline.start for cell in self._cells)
         self.end = max(cell.timeline.end for cell in self._cells)
 
     def draw(self, time: float) -> Picture:
         """The picture at a time [s]."""
-        picture = np.zeros((self.size[1], self.size[0], 3), np.uint8)
-        for cell in self._cells:
-            left, top = cell.place
-            own = cell.draw(time, is_last_shown=time <= self.start)
+        picture = np.empty((self.size[1], self.size[0], 3), np.uint8)
+        picture[:] = BACKGROUND
+        for index, cell in enumerate(self._cells):
+            own = cell.draw(time)
+            row, column = divmod(index, self._columns)
+            top, left = row * own.shape[0], column * own.shape[1]
             picture[top : top + own.shape[0], left : left + own.shape[1]] = own
         return picture
 
 
 class _Cell:
-    """A clip's part of the screen."""
+    """A clip's part of the screen: a line with the title, below it the road."""
 
-    def __init__(self, clip: Clip, view: ViewOptions, place: tuple[int, int]) -> None:
+    def __init__(self, clip: Clip, view: ViewOptions, head: int) -> None:
         self.timeline = Timeline(clip.frames)
-        self.place = place
-        self._painter = Painter(clip.frames[0].scenario, view, title=clip.title)
+        self._title = clip.title
+        # The panel has no room for a title in a small picture.
+        title = "" if head else clip.title
+        self._painter = Painter(clip.frames[0].scenario, view, title=title)
+        self._lettering = Lettering()
+        self._head = head
         self._over: Picture | None = None
+
+    def draw(self, time: float) -> Picture:
+        """The picture at a time [s]."""
+        if self._over is not None:
+            return self._over
+        frame = self.timeline.at(time)
+        picture = self._painter.draw(frame)
+        if not self._head:
+            return picture
+        # The film goes on for the others.
+        is_over = time > self.timeline.end + _ROUNDING
+        note = f"ends at {frame.time:.1f} s" if is_over else f"{frame.time:.1f} s"
+        if is_over:
+            picture = (_FADE * picture).astype(np.uint8)
+        whole = np.concatenate([self._draw_head(note), picture])
+        if is_over:
+            self._over = whole
+        return whole
+
+    def _draw_head(self, note: str) -> Picture:
+        width, size = self._painter.options.size[0], round(0.6 * self._head)
+        surface = pygame.Surface((width, self._head), depth=32)
+        surface.fill(PANEL)
+        self._lettering.begin()
+        middle = 0.5 * self._head
+        put = self._lettering.put
+        put(surface, note, (width - middle, middle), size, TEXT, anchor="midright")
+        room = width - 2 * self._head - self._lettering.measure(note, size)[0]
+        title = self._lettering.shorten(self._title, size, room)
+        put(surface, title, (middle, middle), size, TEXT, anchor="midleft")
+        return pygame.surfarray.array3d(surface).swapaxes(0, 1)

@@ -80,16 +80,18 @@ def test_a_part_of_the_roads():
     assert not recorder.is_over
 
 
-def test_a_recording_ends_when_it_is_enough():
-    found = record_road(
-        ENDLESS,
-        POLICY,
-        name="tuned-cascade",
-        is_enough=lambda rows: bool(rows["step"][0] == 25),
-    )
-    assert np.unique(found.rows["step"]).tolist() == list(range(26))
+@pytest.mark.parametrize(("last_time", "last_step"), [(2.5, 25), (2.41, 25), (0.05, 1)])
+def test_a_recording_ends_at_its_last_time(last_time, last_step):
+    found = record_road(ENDLESS, POLICY, name="tuned-cascade", last_time=last_time)
+    assert np.unique(found.rows["step"]).tolist() == list(range(last_step + 1))
 
 
-def test_a_scenario_without_end_needs_to_be_told_when_it_is_enough():
+def test_a_scenario_without_end_needs_a_last_time():
     with pytest.raises(ScenarioError, match="episodes have no end"):
         record_road(ENDLESS, POLICY, name="tuned-cascade")
+
+
+@pytest.mark.parametrize("last_time", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_last_time_that_cannot_be(last_time):
+    with pytest.raises(ValueError, match="last_time"):
+        record_road(ENDLESS, POLICY, name="tuned-cascade", last_time=last_time)

@@ -1,0 +1,281 @@
+"""The command that records a policy on seeded traffic: films, stills, data."""
+
+import argparse
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from marl_lanes.cli.arguments import Commands, add_followers, add_import, import_modules
+from marl_lanes.cli.policies import UNTRAINED
+from marl_lanes.cli.progress import Progress
+from marl_lanes.cli.tracks import RECORDED, Track, make_tracks
+from marl_lanes.extras import need
+
+if TYPE_CHECKING:
+    from marl_lanes.rendering.excerpt import Excerpt
+    from marl_lanes.rendering.options import ViewOptions
+
+FILMS = (".mp4", ".gif")
+STILL = ".png"
+DATA = (".parquet", ".csv", ".fcd.xml")
+SUFFIXES = (*FILMS, STILL, *DATA)
+
+_ROUNDING = 1e-6
+"""[s]"""
+
+_EXAMPLES = """\
+examples:
+  marl-lanes record tuned-cascade --out film.mp4
+  marl-lanes record runs/paper/checkpoints/final.pt --scenario dense --seed 3 --out film.gif
+  marl-lanes record tuned-cascade --scenario dense --followers cooperative neutral adversarial \\
+      --out side_by_side.mp4
+  marl-lanes record tuned-cascade --scenario dense --maneuver 4 --out film.mp4 --out rows.parquet
+  marl-lanes record rows.parquet --at 41.5 --out still.png
+  marl-lanes record runs/paper/trajectories/*.parquet --maneuver 0 --out training.mp4
+"""
+
+
+def add(commands: Commands) -> None:
+    """Add ``record``."""
+    record = commands.add_parser(
+        "record",
+        help="make films, stills and data of a policy on seeded traffic",
+        description="Drive one road for an episode and record it. A film shows the first lane "
+        "change that is completed, from 2 s before its engagement to 3 s after it, unless "
+        "--maneuver or --start and --seconds choose another part. Data files have the whole "
+        "episode, or the chosen part. Several policies or followers go side by side, on one clock; "
+        "then there is one data file for each, with its label in the name.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    record.add_argument(
+        "policies",
+        nargs="+",
+        metavar="POLICY",
+        help=f"a checkpoint, {', '.join(UNTRAINED)}, POLICY@SCENARIO, or a recorded trajectory "
+        f"(*{RECORDED}), which is not simulated again",
+    )
+    record.add_argument(
+        "--out",
+        action="append",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help=f"the suffix chooses: {', '.join(SUFFIXES)}; may be given several times",
+    )
+    record.add_argument("--scenario", default=None, help="name or YAML file (default: paper)")
+    record.add_argument("--seed", type=int, default=None, help="seed of the traffic (default: 0)")
+    record.add_argument(
+        "--road",
+        type=int,
+        help="index of the road within the seed's roads, as in an evaluation (default: 0, or the "
+        "first that is recorded)",
+    )
+    add_followers(record)
+    add_import(record)
+    _add_part(record)
+    _add_view(record)
+    record.set_defaults(run=_record)
+
+
+def _add_part(record: argparse.ArgumentParser) -> None:
+    part = record.add_argument_group("which part")
+    part.add_argument("--maneuver", type=int, metavar="K", help="that of changer_K")
+    part.add_argument("--start", type=float, metavar="S", help="first time [s] (default: 0)")
+    part.add_argument("--seconds", type=float, metavar="S", help="how long (default: to the end)")
+    part.add_argument(
+        "--at",
+        type=float,
+        metavar="S",
+        help=f"time of a {STILL} [s] (default: when the vehicle crosses the marking)",
+    )
+
+
+def _add_view(record: argparse.ArgumentParser) -> None:
+    view = record.add_argument_group("view")
+    view.add_argument(
+        "--size",
+        metavar="WxH",
+        help="pixels of the whole picture (default: 1280x720, .gif 800x450; higher for several)",
+    )
+    view.add_argument("--span", type=float, metavar="M", help="metres of road (default: 140)")
+    view.add_argument(
+        "--follow",
+        metavar="WHOM",
+        help="changer_3, or a vehicle's number (default: the maneuver's vehicle)",
+    )
+    view.add_argument("--speed", type=float, metavar="X", help="1 is real time (default: 1)")
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is shown: the time from start to end [s], of a maneuver if there is one."""
+
+    start: float
+    end: float
+    excerpt: "Excerpt | None" = None
+
+
+def _record(options: argparse.Namespace) -> None:
+    outputs = {path: _suffix_of(path) for path in options.out}
+    _check_times(options, is_still=STILL in outputs.values())
+    views = _read_views(outputs, options)
+    import_modules(options.modules)
+    last_time = None
+    if options.seconds is not None:
+        last_time = (options.start or 0.0) + options.seconds
+    tracks = make_tracks(
+        options.policies,
+        options.followers,
+        scenario=options.scenario,
+        seed=options.seed,
+        road=options.road,
+        last_time=last_time,
+    )
+    part = _choose_part(tracks, options)
+    for path, suffix in outputs.items():
+        if suffix in DATA:
+            is_whole = options.maneuver is None and options.start is None and last_time is None
+            written = _write_data(path, suffix, tracks, None if is_whole else part)
+        else:
+            _show(path, tracks, part, views[path], options.at)
+            written = [path]
+        print("\n".join(map(str, written)))
+
+
+def _suffix_of(path: Path) -> str:
+    for suffix in SUFFIXES:
+        if path.name.lower().endswith(suffix) and len(path.name) > len(suffix):
+            if path.is_dir():
+                raise ValueError(f"--out {path}: must be a file, not a folder")
+            return suffix
+    raise ValueError(f"--out {path}: must end in {', '.join(SUFFIXES)}")
+
+
+def _check_times(options: argparse.Namespace, *, is_still: bool) -> None:
+    for name in ("start", "seconds", "at"):
+        value = getattr(options, name)
+        if value is None:
+            continue
+        if not (0.0 <= value < inf) or (name == "seconds" and value == 0.0):
+            limit = "above 0" if name == "seconds" else "0 or more"
+            raise ValueError(f"--{name} {value:g}: must be {limit}")
+        if name != "at" and options.maneuver is not None:
+            raise ValueError(f"--{name} {value:g}: not with --maneuver, which chooses the time")
+    if options.at is not None and not is_still:
+        raise ValueError(f"--at {options.at:g}: is the time of a {STILL}, which no --out names")
+
+
+def _read_views(
+    outputs: Mapping[Path, str], options: argparse.Namespace
+) -> "dict[Path, ViewOptions]":
+    """The options of the view for each picture, checked before anything is driven."""
+    if any(suffix in DATA for suffix in outputs.values()):
+        need("pyarrow", "view")
+    pictures = [path for path, suffix in outputs.items() if suffix not in DATA]
+    if not pictures:
+        return {}
+    need("imageio_ffmpeg", "view")
+    from marl_lanes.rendering.film import arrange, choose_size
+    from marl_lanes.rendering.options import ViewOptions
+
+    given: dict[str, Any] = {}
+    if options.size is not None:
+        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", options.size)
+        if match is None:
+            raise ValueError(f"--size {options.size}: must be WxH, for example 1280x720")
+        given["size"] = int(match[1]), int(match[2])
+    if options.follow is not None:
+        is_number = options.follow.isascii() and options.follow.isdecimal()
+        given["follow"] = int(options.follow) if is_number else options.follow
+    for name in ("span", "speed"):
+        if getattr(options, name) is not None:
+            given[name] = getattr(options, name)
+    number = len(options.policies) * len(options.followers or [""])
+    views = {}
+    for path in pictures:
+        view = ViewOptions.make({"size": choose_size(path, number), **given})
+        arrange(number, view.size)
+        views[path] = view
+    return views
+
+
+def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:
+    from marl_lanes.rendering.excerpt import find_excerpt
+
+    times = [track.rows["time"] for track in tracks]
+    first, last = min(float(one[0]) for one in times), max(float(one[-1]) for one in times)
+    for name in ("start", "at"):
+        value = getattr(options, name)
+        if value is not None and not first <= value + _ROUNDING <= last + 2 * _ROUNDING:
+            raise ValueError(
+                f"--{name} {value:g}: recorded is the time from {first:g} to {last:g} s"
+            )
+    is_timed = options.start is not None or options.seconds is not None
+    if is_timed:
+        start = first if options.start is None else options.start
+        return _Part(start, last if options.seconds is None else start + options.seconds)
+    if options.at is not None and options.maneuver is None:
+        return _Part(first, last)
+    excerpt = find_excerpt([track.rows for track in tracks], options.maneuver)
+    if excerpt is None:
+        return _Part(first, last)
+    return _Part(excerpt.start, excerpt.end, excerpt)
+
+
+def _show(
+    path: Path, tracks: Sequence[Track], part: _Part, view: "ViewOptions", at: float | None
+) -> None:
+    """Write a film or a still."""
+    from marl_lanes.rendering.excerpt import find_crossing
+    from marl_lanes.rendering.film import cut, write_film, write_still
+
+    excerpt = part.excerpt
+    vehicles: Sequence[int | None] = [None] * len(tracks)
+    if excerpt is not None and view.follow is None:
+        vehicles = excerpt.vehicles
+    is_still = path.suffix.lower() == STILL
+    clips = [
+        cut(
+            track.label,
+            track.trajectory.frames(track.road),
+            part.start,
+            part.end if at is None else max(part.end, at),
+            vehicle,
+        )
+        for track, vehicle in zip(tracks, vehicles, strict=True)
+    ]
+    if is_still:
+        if at is None:
+            middle = 0.5 * (part.start + part.end)
+            at = middle if excerpt is None else find_crossing(tracks[0].rows, excerpt)
+        write_still(path, clips, at, view)
+        return
+    show = Progress(f"filming {path.name}", 100)
+    write_film(path, clips, view, progress=lambda count, number: show(100 * count // number))
+    show.close()
+
+
+def _write_data(path: Path, suffix: str, tracks: Sequence[Track], part: _Part | None) -> list[Path]:
+    """Write a file for each track; returns their paths."""
+    from marl_lanes.trajectory.exports import write_csv, write_fcd
+    from marl_lanes.trajectory.file import Trajectory, write_trajectory
+
+    writers = {".parquet": write_trajectory, ".csv": write_csv, ".fcd.xml": write_fcd}
+    written = []
+    for track in tracks:
+        rows = track.rows
+        if part is not None:
+            is_in = (rows["time"] >= part.start - _ROUNDING) & (
+                rows["time"] <= part.end + _ROUNDING
+            )
+            rows = rows[is_in]
+        name = path.name
+        if len(tracks) > 1:
+            name = f"{name[: -len(suffix)]}-{track.file_label}{name[-len(suffix) :]}"
+        written.append(path.with_name(name))
+        writers[suffix](written[-1], Trajectory(track.trajectory.metadata, rows))
+    return written
