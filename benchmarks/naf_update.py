@@ -187,6 +187,7 @@ def make_learner(
                 "final_num_maneuvers": 1,
                 "seed": 0,
                 "criterion": None,
+                "record": False,
             },
         },
     )

@@ -106,6 +106,7 @@ def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float
         f"recipe={recipe}",
         f"collector.total_transitions={transitions}",
         f"evaluation.save_interval={10 * transitions}",
+        "evaluation.record=false",
         # In stage two from the start: mu learns, too.
         "optimizer.pretraining_transitions=0",
     ]
@@ -124,7 +125,8 @@ def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float
     return learner.split
 
 
-def _no_evaluation(network: PolicyNetwork) -> dict[str, None]:  # noqa: ARG001 - evaluates nothing
+def _no_evaluation(network: PolicyNetwork, recorded: Path | None) -> dict[str, None]:  # noqa: ARG001
+    """Evaluate nothing."""
     return dict.fromkeys(EVALUATED)
 
 

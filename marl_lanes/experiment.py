@@ -11,10 +11,12 @@ from tqdm import tqdm
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.evaluation.figures import draw_maneuver, draw_training
 from marl_lanes.evaluation.metrics import evaluate
+from marl_lanes.evaluation.recording import record_maneuvers, record_road
 from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_summary
+from marl_lanes.extras import need
 from marl_lanes.files import write_json
-from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
+from marl_lanes.naf.checkpoint import Checkpoint, PolicyNetwork, greedy_policy
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import load_policy
@@ -30,13 +32,19 @@ MakeAlgorithm = Callable[[LaneChangeEnv, Scenario, torch.device, torch.device], 
 """Makes an algorithm from the environment that collects, the scenario, and the devices where it
 learns and acts. Torch's generator is seeded before."""
 
+_MAX_FILM = 30.0
+"""[s] Of the road's time; the film of a training is short."""
+
 
 def start(config: ChangersConfig, make_algorithm: MakeAlgorithm) -> tuple[Learner, Scenario]:
     """Begin a new run, or resume one. After an error no file is left behind.
 
     Raises:
-        ConfigError, ScenarioError, CheckpointError: the run cannot be made.
+        ConfigError, ScenarioError, CheckpointError, MissingExtraError: the run cannot be made.
     """
+    if config.evaluation.record:
+        for package in ("pygame", "imageio_ffmpeg"):
+            need(package, "view")
     torch.set_num_threads(config.num_threads)
     scenario = load_scenario(config.scenario)
     check_episodes(scenario)
@@ -86,13 +94,16 @@ def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None
     for index, place in enumerate(learner.collector.places):
         print(f"worker {index}: {place}", file=sys.stderr)
 
-    def evaluate_model(network: PolicyNetwork) -> Mapping[str, Any]:
+    def evaluate_model(network: PolicyNetwork, recorded: Path | None) -> Mapping[str, Any]:
         settings = config.evaluation
-        maneuvers = run_maneuvers(
+        maneuvers = record_maneuvers(
+            recorded,
+            "" if recorded is None else f"checkpoints/{recorded.stem}.pt",
             scenario,
             greedy_policy(network),
             settings.num_maneuvers,
             seed=settings.saved_models_seed,
+            roads=[0],
         )
         return evaluate(maneuvers, scenario, with_optimum=False)
 
@@ -133,16 +144,55 @@ def _report(learner: Learner, config: ChangersConfig, scenario: Scenario) -> dic
     stage_one = learner.algorithm.pretraining_transitions
     draw_training(run.path, stage_one, summary["mean_optimal_return"])
     _draw_first_and_last(run, scenario, config.evaluation.seed)
+    if config.evaluation.record:
+        _film_first_and_last(run, scenario, config.evaluation.seed)
     return summary
+
+
+def _load_first_and_last(run: RunFolder, scenario: Scenario) -> list[Checkpoint[PolicyNetwork]]:
+    saved = sorted(run.checkpoints.glob("step_*.pt"))
+    paths = (saved[0] if saved else run.checkpoints / FINAL_MODEL, run.checkpoints / FINAL_MODEL)
+    return [load_policy(path, scenario) for path in paths]
 
 
 def _draw_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
     """Figure 8: the first and the last saved model on the same maneuver."""
-    saved = sorted(run.checkpoints.glob("step_*.pt"))
-    paths = (saved[0] if saved else run.checkpoints / FINAL_MODEL, run.checkpoints / FINAL_MODEL)
-    loaded = [load_policy(path, scenario) for path in paths]
+    loaded = _load_first_and_last(run, scenario)
     first, last = (
         run_maneuvers(scenario, greedy_policy(model.network), 1, seed=seed)[0] for model in loaded
     )
     labels = (f"{loaded[0].transitions:,} transitions", f"{loaded[1].transitions:,} transitions")
     draw_maneuver(run.figures / "first_and_last.png", first, last, labels, scenario)
+
+
+def _film_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
+    """Figure 8 as a film: the first lane change of the last model, and what the first one does."""
+    from marl_lanes.rendering.excerpt import find_excerpt
+    from marl_lanes.rendering.film import cut, write_film
+
+    loaded = _load_first_and_last(run, scenario)
+    roads = [
+        record_road(scenario, greedy_policy(model.network), seed=seed, name=str(model.transitions))
+        for model in loaded
+    ]
+    excerpt = find_excerpt([road.rows for road in reversed(roads)])
+    if excerpt is None:
+        print("no film: the last model never engages on the first road", file=sys.stderr)
+        return
+    clips = [
+        cut(
+            f"{model.transitions:,} transitions",
+            road.frames(0),
+            excerpt.start,
+            min(excerpt.end, excerpt.start + _MAX_FILM),
+            vehicle,
+        )
+        for model, road, vehicle in zip(loaded, roads, reversed(excerpt.vehicles), strict=True)
+    ]
+    with tqdm(unit="frame", desc="filming") as bar:
+
+        def show(count: int, number: int) -> None:
+            bar.total = number
+            bar.update(count - bar.n)
+
+        write_film(run.film, clips, progress=show)

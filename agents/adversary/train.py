@@ -23,7 +23,8 @@ from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
 from marl_lanes.evaluation.driving import Policy
 from marl_lanes.evaluation.metrics import evaluate
-from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
+from marl_lanes.evaluation.recording import record_maneuvers
+from marl_lanes.evaluation.rollout import check_episodes
 from marl_lanes.evaluation.tables import format_crossplay
 from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy
@@ -222,9 +223,11 @@ class Run:
             others = [LivePolicy(driver.policy().module, driver.action_dim)]
             return Learner(config, env, algorithm, others=others)
 
-        def evaluate_model(network: PolicyNetwork) -> Mapping[str, Any]:
+        def evaluate_model(network: PolicyNetwork, recorded: Path | None) -> Mapping[str, Any]:
             policies = {LEARNED: follower_policy(network)}
-            return _evaluate(scenario, greedy_policy(driver), policies, config.evaluation)
+            return _evaluate(
+                scenario, greedy_policy(driver), policies, config.evaluation, changer, recorded
+            )
 
         return self._train(folder, make, evaluate_model)
 
@@ -251,8 +254,10 @@ class Run:
             algorithm = NAF(config, env, network, device=self.device, acting_device=self.device)
             return Learner(config, env, algorithm)
 
-        def evaluate_model(network: PolicyNetwork) -> Mapping[str, Any]:
-            return _evaluate(scenario, greedy_policy(network), pool, config.evaluation)
+        def evaluate_model(network: PolicyNetwork, recorded: Path | None) -> Mapping[str, Any]:
+            return _evaluate(
+                scenario, greedy_policy(network), pool, config.evaluation, folder, recorded
+            )
 
         return self._train(folder, make, evaluate_model)
 
@@ -311,13 +316,18 @@ def _evaluate(
     policy: Policy,
     policies: Mapping[str, FollowerPolicy],
     settings: EvaluationConfig,
+    name: Path,
+    recorded: Path | None,
 ) -> dict[str, Any]:
     """What the changer achieves among the followers, in short."""
-    maneuvers = run_maneuvers(
+    maneuvers = record_maneuvers(
+        recorded,
+        str(name),
         scenario,
         policy,
         settings.num_maneuvers,
         seed=settings.saved_models_seed,
+        roads=[0],
         follower_policies=policies,
     )
     return evaluate(maneuvers, scenario, with_optimum=False)

@@ -1,7 +1,6 @@
 """Commands that drive policies on seeded traffic and compare what they achieve."""
 
 import argparse
-from contextlib import ExitStack
 from pathlib import Path
 
 from marl_lanes.cli.arguments import (
@@ -101,12 +100,9 @@ def _add_comparison_of_followers(commands: Commands) -> None:
 def _evaluate(options: argparse.Namespace) -> None:
     # Imported here, because `marl-lanes scenarios` and errors in the arguments do not need it.
     from marl_lanes.evaluation.metrics import evaluate
-    from marl_lanes.evaluation.recording import recording
-    from marl_lanes.evaluation.rollout import run_maneuvers
+    from marl_lanes.evaluation.recording import record_maneuvers
     from marl_lanes.evaluation.tables import format_summary
     from marl_lanes.files import write_json
-    from marl_lanes.trajectory.file import TrajectoryWriter
-    from marl_lanes.trajectory.metadata import Metadata
 
     check_outputs(options.json, None)
     check_trajectories(options.trajectories)
@@ -116,20 +112,15 @@ def _evaluate(options: argparse.Namespace) -> None:
     policy = make_policy(name, scenario, options.seed)
     number = max(1, options.maneuvers)
     show = Progress("evaluating", 2 * number)
-    with ExitStack() as stack:
-        observe = None
-        if options.trajectories is not None:
-            metadata = Metadata(scenario, options.seed, name)
-            writer = stack.enter_context(TrajectoryWriter(options.trajectories, metadata))
-            observe = recording(writer)
-        maneuvers = run_maneuvers(
-            scenario,
-            policy,
-            options.maneuvers,
-            seed=options.seed,
-            observe=observe,
-            progress=lambda count: show(min(count, number)),
-        )
+    maneuvers = record_maneuvers(
+        options.trajectories,
+        name,
+        scenario,
+        policy,
+        options.maneuvers,
+        seed=options.seed,
+        progress=lambda count: show(min(count, number)),
+    )
     summary = evaluate(maneuvers, scenario, progress=lambda count: show(number + count))
     show.close()
     result = {"scenario": scenario.name, "policy": name, "seed": options.seed, **summary}

@@ -1,14 +1,16 @@
 """Trajectories of driven roads: of an evaluation while it runs, or of one road by itself."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import ceil, inf
+from pathlib import Path
 
 import numpy as np
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.evaluation.aftermath import WATCHED_TIME
 from marl_lanes.evaluation.driving import Policy, drive
-from marl_lanes.evaluation.rollout import Observe
+from marl_lanes.evaluation.rollout import Maneuver, run_maneuvers
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.simulator import Simulator
@@ -58,14 +60,49 @@ class RoadRecorder:
             self._reader = FrameReader(self._simulator, roads[is_left].tolist())
 
 
-def recording(writer: TrajectoryWriter, roads: Sequence[int] | None = None) -> Observe:
-    """For ``run_maneuvers``: write the roads to a file while they are driven.
+def record_maneuvers(
+    path: Path | None,
+    name: str,
+    scenario: Scenario,
+    policy: Policy,
+    num_maneuvers: int,
+    *,
+    seed: int = 0,
+    roads: Sequence[int] | None = None,
+    follower_policies: Mapping[str, FollowerPolicy] | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> list[Maneuver]:
+    """As ``run_maneuvers``, with the trajectories in a file; the maneuvers are the same.
 
     Args:
-        writer: that has been opened.
-        roads: indices of the roads; by default all.
+        path: of the Parquet file; None: nothing is recorded.
+        name: of the policy, for the file's metadata.
+        scenario: as for ``run_maneuvers``, as the next four.
+        policy: of the lane changers.
+        num_maneuvers: >= 1.
+        seed: of the traffic.
+        roads: indices of the roads to record; by default all.
+        follower_policies: by disposition.
+        progress: called after every step with the number of finished commands.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+        OSError: the file cannot be written.
+        ScenarioError, CheckpointError, ValueError: as for ``run_maneuvers``.
     """
-    return lambda simulator: RoadRecorder(simulator, writer.write, roads).advance
+    run = partial(
+        run_maneuvers,
+        scenario,
+        policy,
+        num_maneuvers,
+        seed=seed,
+        follower_policies=follower_policies,
+        progress=progress,
+    )
+    if path is None:
+        return run()
+    with TrajectoryWriter(path, Metadata(scenario, seed, name)) as writer:
+        return run(observe=lambda simulator: RoadRecorder(simulator, writer.write, roads).advance)
 
 
 def record_road(

@@ -146,6 +146,11 @@ class EvaluationConfig(Section):
         description="the metric that is highest for the saved model that becomes the final one; "
         "null: the last"
     )
+    record: bool = Field(
+        strict=True,
+        description="record the first road of each saved model's evaluation, and film the first "
+        "and the last model",
+    )
 
     @property
     def saved_models_seed(self) -> int:

@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.extras import need
 from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import PolicyNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
@@ -38,8 +39,9 @@ from marl_lanes.training.transitions import finished_maneuvers, live_transitions
 ROWS_AT_ONCE = 32_768
 """Rows read from the replay buffer together, for as many updates as they make."""
 
-EvaluateModel = Callable[[PolicyNetwork], Mapping[str, Any]]
-"""What a network achieves as it is: metrics by name, numbers or None."""
+EvaluateModel = Callable[[PolicyNetwork, Path | None], Mapping[str, Any]]
+"""What a network achieves as it is: metrics by name, numbers or None. The first road is recorded
+in the file, if there is a path."""
 
 
 class Learner:
@@ -54,6 +56,9 @@ class Learner:
         others: policies of other groups, modules that write their actions.
         make_collector: in this process, or in others. What it collects in is part of the training
             state.
+
+    Raises:
+        MissingExtraError: saved models are to be recorded, and pyarrow is not installed.
     """
 
     run: RunFolder
@@ -68,6 +73,8 @@ class Learner:
         others: Sequence[TensorDictModuleBase] = (),
         make_collector: MakeCollector = LocalCollector,
     ) -> None:
+        if config.evaluation.record:
+            need("pyarrow", "view")
         self.config = config
         self.env = env
         self.algorithm = algorithm
@@ -238,7 +245,8 @@ class Learner:
         path = self.run.checkpoints / name
         network = self.algorithm.network
         save_checkpoint(path, network, self.env.scenario.name, self.transitions)
-        summary = evaluate_model(network)
+        recorded = self.run.trajectory(name) if self.config.evaluation.record else None
+        summary = evaluate_model(network, recorded)
         row = [summary[key] for key in self.config.evaluation.metrics]
         self.run.evaluations.append(
             (self.transitions, name, *("" if value is None else value for value in row))

@@ -1,4 +1,4 @@
-"""The folder of a training run: config, tables, checkpoints, figures."""
+"""The folder of a training run: config, tables, checkpoints, trajectories, figures."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -133,6 +133,19 @@ class RunFolder:
         """The saved models."""
         return self.path / "checkpoints"
 
+    def trajectory(self, checkpoint: str) -> Path:
+        """The recorded road of a saved model's evaluation.
+
+        Args:
+            checkpoint: the model's file name.
+        """
+        return self.path / "trajectories" / f"{Path(checkpoint).stem}.parquet"
+
+    @property
+    def film(self) -> Path:
+        """The first and the last saved model side by side."""
+        return self.path / "film.mp4"
+
     @property
     def state(self) -> Path:
         """What resuming needs."""
@@ -151,6 +164,8 @@ class RunFolder:
     def choose_model(self, criterion: str) -> None:
         """Make the best of the saved models the final one; of equals the earliest.
 
+        Its recorded road becomes that of the final one.
+
         Args:
             criterion: the metric that is highest for the best. A model without it is the worst.
         """
@@ -160,6 +175,8 @@ class RunFolder:
         known = {name: -inf if value is None else value for name, value in values.items()}
         chosen = max(known, key=known.__getitem__)
         copy_file(self.checkpoints / chosen, self.checkpoints / FINAL_MODEL)
+        if self.trajectory(chosen).exists():
+            copy_file(self.trajectory(chosen), self.trajectory(FINAL_MODEL))
         write_json(self.path / CHOICE_FILE, {criterion: values, "chosen": chosen})
 
     def log(self, group: str, values: Mapping[str, Any], transitions: int) -> None:

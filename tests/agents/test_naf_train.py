@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from imageio_ffmpeg import read_frames
 from naf_program import (
     PROGRAM,
     TINY,
@@ -25,6 +26,7 @@ from programs import BUSY, load_program, run_main
 
 from marl_lanes import ScenarioError, experiment, load_scenario
 from marl_lanes.evaluation.metrics import summarise
+from marl_lanes.evaluation.recording import record_road
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
 from marl_lanes.traffic.roles.follower import FOLLOWER
@@ -34,6 +36,8 @@ from marl_lanes.training.checkpoint import (
     save_checkpoint,
 )
 from marl_lanes.training.config import write_config
+from marl_lanes.trajectory.events import find_commands
+from marl_lanes.trajectory.file import read_trajectory
 
 pytestmark = pytest.mark.training
 PAPER = load_scenario("paper")
@@ -75,7 +79,9 @@ def test_the_run_folder_is_complete(whole):
         "training.json",
         "resume.pt",
         "checkpoints",
+        "trajectories",
         "figures",
+        "film.mp4",
         "tensorboard",
     }
     assert {path.name for path in (run / "figures").iterdir()} == FIGURES
@@ -85,6 +91,35 @@ def test_the_run_folder_is_complete(whole):
     events = list((run / "tensorboard").glob("events.out.tfevents.*"))
     assert events
     assert sum(path.stat().st_size for path in events) > 500
+
+
+def test_a_road_of_every_saved_model_is_recorded(whole):
+    run, _ = whole
+    for checkpoint in (run / "checkpoints").iterdir():
+        trajectory = read_trajectory(run / "trajectories" / f"{checkpoint.stem}.parquet")
+        assert trajectory.metadata.policy == f"checkpoints/{checkpoint.name}"
+        assert (trajectory.scenario.name, trajectory.metadata.seed) == ("busy", 1_000_001)
+        assert trajectory.roads == [0]
+        # Its two maneuvers and the rest of the episode.
+        assert len(find_commands(trajectory.rows)) == trajectory.scenario.num_agents
+        # The same road as the policy drives by itself.
+        policy = greedy_policy(load_checkpoint(checkpoint, trajectory.scenario).network)
+        name = trajectory.metadata.policy
+        again = record_road(trajectory.scenario, policy, seed=1_000_001, name=name)
+        assert again.rows.tobytes() == trajectory.rows.tobytes()
+    assert len(list((run / "trajectories").iterdir())) == len(list((run / "checkpoints").iterdir()))
+
+
+def test_the_film_shows_two_models(whole):
+    run, _ = whole
+    frames = read_frames(run / "film.mp4")
+    size = next(frames)["size"]
+    pictures = [np.frombuffer(frame, np.uint8).reshape(size[1], size[0], 3) for frame in frames]
+    assert len(pictures) > 60
+    assert (run / "film.mp4").stat().st_size < 3_000_000
+    half = size[1] // 2
+    red = (pictures[0] @ np.array([2, -1, -1])).astype(int) > 200
+    assert min(red[:half].sum(), red[half:].sum()) > 50
 
 
 def test_the_tables(whole):
@@ -185,7 +220,9 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_pa
     assert 3 <= len(rows(run / "metrics.csv")) < total
     run_main(program, tmp_path, "resume=run")
     assert_same_weights(weights(reference), weights(run))
-    for name in ("metrics.csv", "maneuvers.csv", "evaluations.csv", "evaluation.json"):
+    recorded = {f"trajectories/{path.name}" for path in (reference / "trajectories").iterdir()}
+    assert len(recorded) >= 3
+    for name in ("metrics.csv", "maneuvers.csv", "evaluations.csv", "evaluation.json", *recorded):
         assert (run / name).read_bytes() == (reference / name).read_bytes(), name
     assert {path.name for path in (run / "figures").iterdir()} == FIGURES
 

@@ -5,14 +5,13 @@ import pytest
 
 from marl_lanes.evaluation.aftermath import WATCHED_TIME
 from marl_lanes.evaluation.policies import make_tuned_cascade_policy
-from marl_lanes.evaluation.recording import RoadRecorder, record_road, recording
+from marl_lanes.evaluation.recording import RoadRecorder, record_maneuvers, record_road
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.scenario import ScenarioError, load_scenario
 from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.trajectory.events import find_commands
-from marl_lanes.trajectory.file import TrajectoryWriter, read_trajectory
-from marl_lanes.trajectory.metadata import Metadata
+from marl_lanes.trajectory.file import read_trajectory
 
 SCENARIO = load_scenario("paper", {"num_agents": 2})
 POLICY = make_tuned_cascade_policy(SCENARIO)
@@ -23,8 +22,7 @@ ENDLESS = load_scenario("paper", {"num_agents": None, "horizon": None})
 def evaluated(tmp_path_factory):
     """Maneuvers of three roads, recorded on the way."""
     path = tmp_path_factory.mktemp("recorded") / "roads.parquet"
-    with TrajectoryWriter(path, Metadata(SCENARIO, 5, "tuned-cascade")) as writer:
-        maneuvers = run_maneuvers(SCENARIO, POLICY, 5, seed=5, observe=recording(writer))
+    maneuvers = record_maneuvers(path, "tuned-cascade", SCENARIO, POLICY, 5, seed=5)
     return maneuvers, read_trajectory(path)
 
 

@@ -1,11 +1,13 @@
 """One group's learning: its noise, its rows, and that it goes on as if it had not stopped."""
 
 import shutil
+import sys
 
 import pytest
 import torch
 from learners import TWO_ACTIONS, Evaluation, changers, filled, followers, rows, tables, weights_of
 
+from marl_lanes.extras import MissingExtraError
 from marl_lanes.naf.checkpoint import read_checkpoint
 from marl_lanes.training.config import ConfigError
 
@@ -33,6 +35,9 @@ def test_it_learns_from_its_beginning_to_the_final_model(tmp_path, make):
     saved = rows(tmp_path / "run" / "evaluations.csv")
     assert list(saved[0])[2:] == list(learner.config.evaluation.metrics)
     assert len(saved) == evaluation.count >= 3
+    folder = tmp_path / "run" / "trajectories"
+    wanted = [folder / row["checkpoint"].replace(".pt", ".parquet") for row in saved]
+    assert evaluation.recorded == wanted
     final = read_checkpoint(tmp_path / "run" / "checkpoints" / "final.pt")
     assert (final.scenario, final.transitions) == ("paper", learner.transitions)
     for key, value in learner.algorithm.network.state_dict().items():
@@ -107,6 +112,22 @@ def test_with_a_criterion_the_best_model_is_the_final_one(tmp_path, make):
     assert len(saved) == evaluation.count
 
 
+def test_a_training_need_not_record(tmp_path):
+    learner = changers("evaluation.record=false")
+    learner.begin(tmp_path / "run")
+    evaluation = Evaluation()
+    assert learner.train(evaluation)
+    learner.close()
+    assert evaluation.recorded == [None] * evaluation.count
+
+
+def test_recording_needs_pyarrow_before_anything_begins(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingExtraError, match=r"pyarrow: is not installed: .*marl-lanes\[view\]"):
+        changers()
+    assert changers("evaluation.record=false").transitions == 0
+
+
 def test_two_runs_of_a_seed_are_the_same(tmp_path):
     runs = {}
     for name, seed in (("one", 3), ("same", 3), ("other", 4)):
@@ -163,8 +184,8 @@ class Crash(Evaluation):
         super().__init__()
         self.run, self.copy, self.at = run, copy, at
 
-    def __call__(self, network):
-        result = super().__call__(network)
+    def __call__(self, network, recorded):
+        result = super().__call__(network, recorded)
         if self.count == self.at:
             shutil.copytree(self.run, self.copy)
         return result

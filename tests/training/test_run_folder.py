@@ -84,6 +84,7 @@ def test_a_new_run_makes_its_folder(tmp_path):
     assert run.config == path / "config.yaml"
     assert run.state == path / "resume.pt"
     assert run.figures == path / "figures"
+    assert run.film == path / "film.mp4"
 
 
 @pytest.mark.parametrize(
@@ -101,15 +102,29 @@ def test_the_best_saved_model_becomes_the_final_one(tmp_path, values, chosen):
     for transitions, (name, value) in enumerate(zip("abc", values, strict=True)):
         (run.checkpoints / f"{name}.pt").write_text(name, encoding="utf-8")
         run.evaluations.append((transitions, f"{name}.pt", 7.0, value))
+        run.trajectory(f"{name}.pt").parent.mkdir(exist_ok=True)
+        run.trajectory(f"{name}.pt").write_text(f"road of {name}", encoding="utf-8")
     run.choose_model("quality")
     run.close()
     assert (run.checkpoints / "final.pt").read_text(encoding="utf-8") == chosen[0]
+    recorded = run.path / "trajectories" / "final.parquet"
+    assert recorded.read_text(encoding="utf-8") == f"road of {chosen[0]}"
     choice = json.loads((run.path / "choice.json").read_text(encoding="utf-8"))
     found = [None if value == "" else value for value in values]
     assert choice == {
         "quality": dict(zip(("a.pt", "b.pt", "c.pt"), found, strict=True)),
         "chosen": chosen,
     }
+
+
+def test_a_model_may_be_chosen_without_a_recorded_road(tmp_path):
+    run = RunFolder(tmp_path / "run", LEARNED, evaluated=("quality",))
+    (run.checkpoints / "a.pt").write_text("a", encoding="utf-8")
+    run.evaluations.append((0, "a.pt", 1.0))
+    run.choose_model("quality")
+    run.close()
+    assert (run.checkpoints / "final.pt").read_text(encoding="utf-8") == "a"
+    assert not (run.path / "trajectories").exists()
 
 
 def test_a_folder_with_a_run_is_refused(tmp_path):

@@ -191,10 +191,10 @@ class Crash(Evaluation):
         super().__init__()
         self.run, self.copy = run, copy
 
-    def __call__(self, network):
+    def __call__(self, network, recorded):
         if self.count == 1:
             shutil.copytree(self.run, self.copy)
-        return super().__call__(network)
+        return super().__call__(network, recorded)
 
 
 @pytest.mark.training
