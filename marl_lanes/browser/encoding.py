@@ -5,14 +5,14 @@ and then chunks of later steps, which the page appends to the same store.
 
 The header is ``{format, scenario, description, policy, seed, version, road, time_step, num_lanes,
 lane_width, road_length, vehicle_length, vehicle_width, max_braking, brake_light, line, columns}``.
-``line`` has arrays ``position``, ``x``, ``y``, ``heading``: points of the road's right edge, between
-which the page interpolates. ``columns`` lists ``{name, type, unit, meaning, quantum, is_optional,
-names}``, as in ``trajectory/columns.py``; ``quantum`` is null for whole numbers.
+``line`` has arrays ``position``, ``x``, ``y``, ``heading``: points of the road's right edge; the
+page interpolates between them. ``columns`` lists ``{name, type, unit, meaning, quantum,
+is_optional, names}``, as in ``trajectory/columns.py``; ``quantum`` is null for whole numbers.
 
 A chunk is ``{first_step, last_step, num_rows, widths, data, events}``. Its rows are those of the
 steps from the first to the last, ordered by vehicle, then step: a vehicle's rows are contiguous.
 ``events`` lists ``[step, kind, vehicle, command, other]``, as in ``trajectory/events.py``.
-``data`` is base64 of gzip of the columns, one after the other. A column becomes bytes in four steps:
+``data`` is base64 of gzip of the columns, one after the other. A column becomes bytes so:
 
 1. codes: a whole number is its own code, with -1 where it is missing. A real number v has
    q = round(v/quantum); if it is optional, its code is q for q < 0, q + 1 for q >= 0, and 0 where

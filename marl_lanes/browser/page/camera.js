@@ -47,9 +47,9 @@ export class Camera {
     this.aim();
   }
 
-  /** Go toward a position; at once if isInstant, else smoothly over the time that passed [s]. */
-  follow(position, passed, isInstant) {
-    const share = isInstant ? 1 : 1 - Math.exp(-CATCH_UP * passed);
+  /** Glide toward a position, in the time that passed [s]. */
+  follow(position, passed) {
+    const share = 1 - Math.exp(-CATCH_UP * passed);
     this.moveTo(this.position + share * (position - this.position));
   }
 

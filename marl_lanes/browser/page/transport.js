@@ -37,7 +37,7 @@ export class Transport {
 
   show() {
     const { clock } = this;
-    this.play.textContent = clock.isPlaying ? "⏸" : "▶";
+    this.play.classList.toggle("playing", clock.isPlaying);
     this.play.setAttribute("aria-label", clock.isPlaying ? "Pause" : "Play");
     this.speed.value = String(clock.speed);
   }
