@@ -120,13 +120,13 @@ def make_page(
     return "".join([before, "\n".join(head), middle, "\n".join(body), after])
 
 
-def make_replay(trajectory: Trajectory, road: int, optima: Mapping[int, Any]) -> str:
+def make_replay(trajectory: Trajectory, road: int, optima: Mapping[int, Any] | None) -> str:
     """One HTML file with the page and a road of a trajectory; it requests nothing.
 
     Args:
         trajectory: with the road.
         road: its index.
-        optima: by command, from ``optima.find_optima``.
+        optima: by command, from ``optima.find_optima``; None if they were not computed.
 
     Raises:
         TrajectoryError: there is no such road, or a value is too large for the page.
@@ -139,22 +139,28 @@ def make_replay(trajectory: Trajectory, road: int, optima: Mapping[int, Any]) ->
         addresses={name: _data_url(modules[name]) for name in needed_modules(FILE_ENTRY)},
         data={
             "header": encode_header(trajectory.metadata, road),
-            "optima": optima,
+            "optima": optima or {},
             "chunks": [encode_chunk(rows, find_events(rows))],
         },
         sources=["data:"],
     )
 
 
-def write_replay(path: Path, trajectory: Trajectory, road: int, optima: Mapping[int, Any]) -> None:
+def write_replay(
+    path: Path, trajectory: Trajectory, road: int, optima: Mapping[int, Any] | None
+) -> int:
     """Write ``make_replay`` to a file.
+
+    Returns:
+        its size [bytes].
 
     Raises:
         TrajectoryError: there is no such road, or a value is too large for the page.
         OSError: the file cannot be written.
     """
-    page = make_replay(trajectory, road, optima)
-    write_atomically(path, lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    page = make_replay(trajectory, road, optima).encode("utf-8")
+    write_atomically(path, lambda temporary: temporary.write_bytes(page))
+    return len(page)
 
 
 def _variables(theme: Theme) -> str:

@@ -16,6 +16,7 @@ export class Camera {
     this.height = 1;
     this.centre = { x: 0, y: 0, heading: 0 };
     this.work = { x: 0, y: 0, heading: 0 };
+    this.point = { x: 0, y: 0, heading: 0 };
     this.isChosen = false;
     this.aim();
   }
@@ -69,5 +70,21 @@ export class Camera {
     out.y = this.height / 2 - this.scale * (dy * this.cosine - dx * this.sine);
     out.heading = work.heading - centre.heading;
     return out;
+  }
+
+  /** Add a place on the road to a path, as its first point or a next one. */
+  vertex(context, position, lateral, isFirst) {
+    const point = this.project(position, lateral, this.point);
+    if (isFirst) context.moveTo(point.x, point.y);
+    else context.lineTo(point.x, point.y);
+  }
+
+  /** The outline of the road between two lateral positions, as a path. */
+  trace(context, first, last, low, high) {
+    const places = this.line.breaks(first, last);
+    context.beginPath();
+    places.forEach((place, i) => this.vertex(context, place, low, i === 0));
+    for (let i = places.length - 1; i >= 0; i -= 1) this.vertex(context, places[i], high, false);
+    context.closePath();
   }
 }

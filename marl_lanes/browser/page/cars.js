@@ -6,6 +6,11 @@ const BLINK = 0.4;
 /** Bodies are drawn at least this long, so that they are seen from afar [px]. */
 const MIN_LENGTH = 6;
 
+function traceBody(context, length, width) {
+  context.beginPath();
+  context.roundRect(-length / 2, -width / 2, length, width, 0.2 * width);
+}
+
 export class Cars {
   constructor(camera, header, store) {
     this.camera = camera;
@@ -54,13 +59,11 @@ export class Cars {
     const isHit = fate === "collides" || fate === "strays";
     const turn = this.turning(scene, i);
     this.within(context, scene.position[i], scene.lateral[i], scene.yaw[i], (length, width) => {
-      const round = 0.2 * width;
-      context.beginPath();
-      context.roundRect(-length / 2, -width / 2, length, width, round);
       context.fillStyle = isChanger ? colours.changer : colours.vehicle;
+      traceBody(context, length, width);
       context.fill();
       if (length > 16) this.drawWindows(context, length, width);
-      this.outline(context, colours, disposition, width);
+      this.drawOutline(context, colours, disposition, length, width);
       if (isBraking) this.drawBrakes(context, colours, length, width);
       if (turn !== 0 && Math.floor(scene.time / BLINK) % 2 === 0) {
         this.drawIndicator(context, colours, length, width, turn);
@@ -90,14 +93,15 @@ export class Cars {
     context.fillRect(-0.38 * length, -0.34 * width, 0.1 * length, 0.68 * width);
   }
 
-  outline(context, colours, disposition, width) {
+  drawOutline(context, colours, disposition, length, width) {
     const name = OUTLINED.includes(disposition) ? disposition : "external";
     context.strokeStyle = colours[name];
     context.lineWidth = Math.min(3, Math.max(1, 0.1 * width));
-    // As in the pictures of the other programs: told apart by pattern, too.
+    // Told apart by their patterns, too.
     const unit = context.lineWidth;
     if (name === "adversarial") context.setLineDash([3 * unit, 1.5 * unit]);
     else if (name === "external") context.setLineDash([unit, unit]);
+    traceBody(context, length, width);
     context.stroke();
     context.setLineDash([]);
   }
@@ -149,31 +153,56 @@ export class Cars {
     const ends = [
       [scene.find(scene.value("target_follower", i)), half, -camera.span],
       [scene.find(scene.value("target_leader", i)), -half, camera.span],
-    ].map(([j, bumper, far]) => (j >= 0 ? scene.position[j] : scene.position[i] + far) + (j >= 0 ? bumper : 0));
+    ].map(([j, bumper, far]) => (j >= 0 ? scene.position[j] + bumper : scene.position[i] + far));
     const lane = scene.value("target_lane", i);
     const low = (lane + 0.15) * header.lane_width;
     const high = (lane + 0.85) * header.lane_width;
+    if (ends[1] <= ends[0]) return;
     const isEngaged = this.names.phase[scene.value("phase", i)] === "engaged";
     context.fillStyle = isEngaged ? colours.safe_gap : colours.refused_gap;
     context.globalAlpha = 0.45;
-    this.fillBand(context, ends[0], ends[1], low, high);
+    camera.trace(context, ends[0], ends[1], low, high);
+    context.fill();
     context.globalAlpha = 1;
+    if (!isEngaged) this.hatch(context, colours);
+    if (scene.find(scene.value("target_follower", i)) >= 0 && scene.find(scene.value("target_leader", i)) >= 0) {
+      this.writeLength(context, colours, ends, 0.5 * (low + high));
+    }
   }
 
-  fillBand(context, first, last, low, high) {
-    if (last <= first) return;
-    const places = this.camera.line.breaks(first, last);
+  /** A refused gap is hatched, so that colour alone does not tell. */
+  hatch(context, colours) {
+    const { width, height } = this.camera;
+    context.save();
+    context.clip();
+    context.strokeStyle = colours.refused_gap;
+    context.lineWidth = 2;
     context.beginPath();
-    for (const place of places) {
-      const point = this.camera.project(place, low, this.point);
-      context.lineTo(point.x, point.y);
+    for (let x = -height; x < width; x += 12) {
+      context.moveTo(x, height);
+      context.lineTo(x + height, 0);
     }
-    for (const place of places.reverse()) {
-      const point = this.camera.project(place, high, this.point);
-      context.lineTo(point.x, point.y);
-    }
-    context.closePath();
-    context.fill();
+    context.stroke();
+    context.restore();
+  }
+
+  writeLength(context, colours, ends, lateral) {
+    const { camera } = this;
+    const length = ends[1] - ends[0];
+    if (length * camera.scale < 60) return;
+    // Where the middle is out of sight, in the part that is in sight.
+    const half = 0.5 * camera.span - 30 / camera.scale;
+    const first = Math.max(ends[0], camera.position - half);
+    const last = Math.min(ends[1], camera.position + half);
+    const point = camera.project(0.5 * (first + last), lateral, this.point);
+    context.font = "600 13px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.lineWidth = 4;
+    context.strokeStyle = colours.road;
+    context.fillStyle = colours.marking;
+    context.strokeText(`${length.toFixed(1)} m`, point.x, point.y);
+    context.fillText(`${length.toFixed(1)} m`, point.x, point.y);
   }
 
   /** The vehicle at a pixel of the canvas, or -1. */

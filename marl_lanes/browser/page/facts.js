@@ -34,11 +34,12 @@ export class Facts {
     const outcome = named("outcome");
     const state = outcome === "unfinished" ? named("phase") : outcome.replace("_", " ");
     const way = value("direction") > 0 ? "to the left" : "to the right";
-    const left = Math.abs(value("lateral_deviation")).toFixed(2);
+    const { lane_width: width } = store.header;
+    const left = Math.abs((value("target_lane") + 0.5) * width - scene.lateral[i]).toFixed(2);
     this.write(
       `changer_${command}: ${state}`,
       `${way}, ${motion}`,
-      `${left} m from the lane's centre, ${place}`,
+      `${left} m from the target lane's centre, ${place}`,
     );
   }
 

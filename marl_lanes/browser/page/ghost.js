@@ -5,7 +5,6 @@ export class Ghost {
     this.camera = camera;
     this.cars = cars;
     this.store = store;
-    this.point = { x: 0, y: 0, heading: 0 };
   }
 
   draw(context, colours, scene, maneuver, optimum) {
@@ -43,9 +42,7 @@ export class Ghost {
     context.beginPath();
     for (let i = 0; i < count; i += 1) {
       const [position, lateral] = place(i);
-      const point = this.camera.project(position, lateral, this.point);
-      if (i === 0) context.moveTo(point.x, point.y);
-      else context.lineTo(point.x, point.y);
+      this.camera.vertex(context, position, lateral, i === 0);
     }
     context.stroke();
   }

@@ -68,17 +68,17 @@ export class List {
     button.title = `vehicle ${one.vehicle}`;
     row.addEventListener("click", () => this.player.showManeuver(one));
     this.buttons.set(one.command, row);
-    const seconds = (step) => `${(step * store.timeStep).toFixed(1)} s`;
+    const seconds = (step) => (step * store.timeStep).toFixed(1);
     const outcome = page.createElement("span");
     outcome.className = `outcome ${one.outcome}`;
     outcome.textContent = OUTCOMES[one.outcome];
     const cells = [
       button,
-      `${seconds(one.firstStep)} ${one.direction > 0 ? "left" : "right"}`,
-      seconds(one.lastStep),
+      one.direction > 0 ? "left" : "right",
+      `${seconds(one.firstStep)} – ${seconds(one.lastStep)}`,
       outcome,
       String(one.numAborts),
-      `${Math.max(0, one.braking).toFixed(1)} m/s²`,
+      Math.max(0, one.braking).toFixed(1),
     ];
     row.append(
       ...cells.map((content) => {

@@ -91,7 +91,7 @@ export class Player {
         part.addEventListener(kind, () => this.invalidate());
       }
     }
-    selection.addEventListener("change", () => this.list.mark());
+    selection.addEventListener("change", () => this.showSelection());
     watchSize(this.canvas, () => {
       fit(this.canvas);
       camera.resize(this.canvas.clientWidth, this.canvas.clientHeight);
@@ -123,6 +123,7 @@ export class Player {
   /** The store has changed. */
   update() {
     this.clock.setBounds(this.store.firstTime, this.store.lastTime);
+    this.transport.fit();
     this.selection.setManeuvers(findManeuvers(this.store));
     this.list.update();
     this.plots.rebuild();
@@ -186,8 +187,13 @@ export class Player {
     this.timeline.draw();
     this.facts.draw(scene);
     this.plots.update();
-    this.element("follow").setAttribute("aria-pressed", String(selection.isFollowing));
-    this.element("auto").checked = selection.isAuto;
+  }
+
+  /** The selection has changed. */
+  showSelection() {
+    this.list.mark();
+    this.element("follow").setAttribute("aria-pressed", String(this.selection.isFollowing));
+    this.element("auto").checked = this.selection.isAuto;
   }
 
   /** Let the camera follow: glide to a vehicle that is near, jump to one that is far. */

@@ -26,7 +26,7 @@ export class Plot {
     const caption = page.createElement("figcaption");
     const title = page.createElement("span");
     title.className = "title";
-    title.textContent = `${data.title} [${data.unit}]`;
+    title.textContent = `${data.title} [${data.unit.replace("^2", "²")}]`;
     caption.append(title);
     this.values = data.lines.map((line, i) => {
       const item = page.createElement("span");
@@ -123,7 +123,7 @@ export class Plot {
     context.strokeStyle = colours.grid;
     context.fillStyle = colours.muted;
     context.beginPath();
-    const vertical = makeTicks(range.low, range.high, Math.max(2, height / 34));
+    const vertical = makeTicks(range.low, range.high, Math.max(3, height / 26));
     context.textAlign = "right";
     context.textBaseline = "middle";
     for (const tick of vertical.ticks) {
@@ -131,17 +131,17 @@ export class Plot {
       context.lineTo(left + width, y(tick));
       context.fillText(tick.toFixed(vertical.decimals), left - 6, y(tick));
     }
-    const horizontal = makeTicks(window.first, window.last, Math.max(2, width / 70));
+    const horizontal = makeTicks(window.first, window.last, Math.max(3, width / 34));
     context.textBaseline = "top";
-    for (const tick of horizontal.ticks) {
+    context.textAlign = "center";
+    horizontal.ticks.forEach((tick, i) => {
       context.moveTo(x(tick), top);
       context.lineTo(x(tick), top + height);
-      const text = `${tick.toFixed(horizontal.decimals)} s`;
+      const unit = i === horizontal.ticks.length - 1 ? " s" : "";
+      const text = `${tick.toFixed(horizontal.decimals)}${unit}`;
       const half = context.measureText(text).width / 2;
-      if (x(tick) + half > this.canvas.clientWidth) continue;
-      context.textAlign = "center";
-      context.fillText(text, x(tick), top + height + 5);
-    }
+      context.fillText(text, Math.min(x(tick), this.canvas.clientWidth - half), top + height + 5);
+    });
     context.stroke();
     if (range.low < 0 && range.high > 0) {
       context.strokeStyle = colours.muted;

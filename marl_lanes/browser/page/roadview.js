@@ -33,23 +33,8 @@ export class RoadView {
     this.posts(context, Math.max(0, first), Math.min(header.road_length, last), colours);
   }
 
-  /** The outline between two lateral positions, as a path. */
-  trace(context, first, last, low, high) {
-    const places = this.camera.line.breaks(first, last);
-    context.beginPath();
-    places.forEach((place, i) => this.vertex(context, place, low, i === 0));
-    for (let i = places.length - 1; i >= 0; i -= 1) this.vertex(context, places[i], high, false);
-    context.closePath();
-  }
-
-  vertex(context, position, lateral, isFirst) {
-    const point = this.camera.project(position, lateral, this.point);
-    if (isFirst) context.moveTo(point.x, point.y);
-    else context.lineTo(point.x, point.y);
-  }
-
   band(context, first, last, low, high, colour) {
-    this.trace(context, first, last, low, high);
+    this.camera.trace(context, first, last, low, high);
     context.fillStyle = colour;
     context.fill();
   }
@@ -72,7 +57,7 @@ export class RoadView {
 
   along(context, lateral, first, last) {
     this.camera.line.breaks(first, last).forEach((place, i) => {
-      this.vertex(context, place, lateral, i === 0);
+      this.camera.vertex(context, place, lateral, i === 0);
     });
   }
 
@@ -80,8 +65,8 @@ export class RoadView {
     context.strokeStyle = colour;
     context.lineWidth = width;
     context.beginPath();
-    this.vertex(context, position, low, true);
-    this.vertex(context, position, high, false);
+    this.camera.vertex(context, position, low, true);
+    this.camera.vertex(context, position, high, false);
     context.stroke();
   }
 

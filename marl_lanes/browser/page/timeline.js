@@ -16,6 +16,7 @@ export class Timeline {
     this.tracks = new Map();
     this.lanes.append(...KINDS.map((kind) => this.makeLane(kind)), this.head);
     this.marks = [];
+    this.isZoomed = false;
     this.listen();
   }
 
@@ -99,24 +100,30 @@ export class Timeline {
     const { clock } = this.player;
     const span = Number(this.zoom.value);
     const zoom = span ? Math.max(1, (clock.last - clock.first) / span) : 1;
+    this.isZoomed = zoom > 1;
     this.lanes.style.setProperty("--zoom", String(zoom));
     this.reveal();
   }
 
+  /** The share of the time that has passed. */
+  get share() {
+    const { clock } = this.player;
+    return (clock.time - clock.first) / Math.max(1e-9, clock.last - clock.first);
+  }
+
+  /** Scroll to where the present is seen. */
   reveal() {
     const { scroller, head } = this;
-    if (scroller.scrollWidth <= scroller.clientWidth) return;
-    const x = head.offsetLeft - scroller.scrollLeft;
-    if (x < 0.25 * scroller.clientWidth || x > 0.9 * scroller.clientWidth) {
-      scroller.scrollLeft = head.offsetLeft - 0.4 * scroller.clientWidth;
-    }
+    const width = scroller.clientWidth;
+    if (scroller.scrollWidth <= width) return;
+    const at = head.offsetLeft + this.share * head.offsetWidth;
+    const x = at - scroller.scrollLeft;
+    if (x < 0.25 * width || x > 0.9 * width) scroller.scrollLeft = at - 0.4 * width;
   }
 
   draw() {
-    const { clock } = this.player;
-    const share = (clock.time - clock.first) / Math.max(1e-9, clock.last - clock.first);
-    this.head.style.setProperty("--share", String(share));
-    if (clock.isPlaying) this.reveal();
+    this.head.style.transform = `translateX(${100 * this.share}%)`;
+    if (this.player.clock.isPlaying && this.isZoomed) this.reveal();
   }
 
   /** The nearest event after (direction 1) or before (-1) the present, or undefined. */

@@ -42,12 +42,19 @@ export class Transport {
     this.speed.value = String(clock.speed);
   }
 
+  /** The bounds of time have changed. */
+  fit() {
+    this.scrub.min = String(this.clock.first);
+    this.scrub.max = String(this.clock.last);
+  }
+
   draw() {
     const { clock } = this;
-    this.scrub.min = String(clock.first);
-    this.scrub.max = String(clock.last);
     this.scrub.value = String(clock.time);
-    this.time.textContent = `${clock.time.toFixed(1)} / ${clock.last.toFixed(1)} s`;
-    this.scrub.setAttribute("aria-valuetext", `${clock.time.toFixed(1)} seconds`);
+    const time = clock.time.toFixed(1);
+    if (time === this.shown) return;
+    this.shown = time;
+    this.time.textContent = `${time} / ${clock.last.toFixed(1)} s`;
+    this.scrub.setAttribute("aria-valuetext", `${time} seconds`);
   }
 }
