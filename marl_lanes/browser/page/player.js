@@ -64,7 +64,8 @@ export class Player {
     this.facts = new Facts(this);
     this.help = new Help(this);
     this.pointer = new Pointer(this);
-    this.help.setKeys(new Keyboard(this).keys);
+    this.keyboard = new Keyboard(this);
+    this.help.setKeys(this.keyboard.keys);
     this.clock.time = this.store.firstTime;
     this.update();
     this.listen();
