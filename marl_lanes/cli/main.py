@@ -4,9 +4,9 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from marl_lanes.cli import comparisons, record, scenarios
+from marl_lanes.cli import comparisons, record, replay, scenarios
 
-COMMANDS = (scenarios, comparisons, record)
+COMMANDS = (scenarios, comparisons, record, replay)
 """The modules of commands, in the order of the help; each has ``add(commands)``."""
 
 

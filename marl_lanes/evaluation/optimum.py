@@ -59,11 +59,13 @@ class Optimum:
         total_return: the sum of its rewards, the negative of its cost [1].
         num_steps: its duration N in time steps.
         yaw_acceleration: the action of each step, (N,) float64 [rad/s^2].
+        path: the vehicle before the first step and after each of them, (N + 1,) VEHICLE.
     """
 
     total_return: float
     num_steps: int
     yaw_acceleration: FloatArray
+    path: npt.NDArray[np.void]
 
 
 def optimal_lane_change(
@@ -233,7 +235,7 @@ class _Search:
                 return None
             gain = cost - self.cost_of(num_steps)
             if is_completed and actions.size == num_steps and gain <= TOLERANCE * cost:
-                return Optimum(-cost, num_steps, actions)
+                return Optimum(-cost, num_steps, actions, self.replay.path(num_steps))
             actions = self.solved[num_steps][1]
         raise RuntimeError(f"{num_steps} steps: no convergence in {_MAX_ROUNDS} linearizations")
 

@@ -169,6 +169,17 @@ class Replay:
         self._drive(0, actions.size, is_steering=False)
         return self._known[:, : actions.size].copy()
 
+    def path(self, count: int) -> npt.NDArray[np.void]:
+        """The vehicle along the last actions.
+
+        Args:
+            count: number of steps N.
+
+        Returns:
+            (N + 1,) VEHICLE in the road frame: before the first step, and after each of them.
+        """
+        return np.asarray(self._cars[: count + 1].copy())
+
     def linearise(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Around the last actions: the values without actions, and their derivative by actions.
 

@@ -1,0 +1,1 @@
+"""The replay page: one road's trajectory, encoded for the browser, and the page that shows it."""

@@ -1,0 +1,223 @@
+// Vehicles on the road: bodies, indicators, brake lights, the gap of a changer, the selected one.
+
+const OUTLINED = ["cooperative", "neutral", "adversarial"];
+/** [s] Half a period of an indicator. */
+const BLINK = 0.4;
+/** Bodies are drawn at least this long, so that they are seen from afar [px]. */
+const MIN_LENGTH = 6;
+
+function traceBody(context, length, width) {
+  context.beginPath();
+  context.roundRect(-length / 2, -width / 2, length, width, 0.2 * width);
+}
+
+export class Cars {
+  constructor(camera, header, store) {
+    this.camera = camera;
+    this.header = header;
+    this.point = { x: 0, y: 0, heading: 0 };
+    this.names = {
+      disposition: store.names("disposition"),
+      phase: store.names("phase"),
+      outcome: store.names("outcome"),
+      fate: store.names("fate"),
+    };
+    this.enlarged = 1;
+  }
+
+  draw(context, colours, scene, selected) {
+    const { camera } = this;
+    this.enlarged = Math.max(1, MIN_LENGTH / (this.header.vehicle_length * camera.scale));
+    const chosen = scene.find(selected);
+    if (chosen >= 0) this.drawGap(context, colours, scene, chosen);
+    const reach = 0.6 * Math.max(camera.span, camera.height / camera.scale) + 10;
+    for (let i = 0; i < scene.count; i += 1) {
+      if (Math.abs(scene.position[i] - camera.position) < reach) {
+        this.drawCar(context, colours, scene, i);
+      }
+    }
+    if (chosen >= 0) this.drawRing(context, colours, scene, chosen);
+  }
+
+  /** Run paint(length, width) in the frame of a vehicle: x ahead, y to the right, in pixels. */
+  within(context, position, lateral, yaw, paint) {
+    const { camera, header, enlarged } = this;
+    const point = camera.project(position, lateral, this.point);
+    context.save();
+    context.translate(point.x, point.y);
+    context.rotate(-(point.heading + yaw));
+    const scale = camera.scale * enlarged;
+    paint(header.vehicle_length * scale, header.vehicle_width * scale);
+    context.restore();
+  }
+
+  drawCar(context, colours, scene, i) {
+    const isChanger = scene.value("command", i) >= 0;
+    const disposition = this.names.disposition[scene.value("disposition", i)];
+    const isBraking = scene.value("acceleration", i) < this.header.brake_light;
+    const fate = this.names.fate[scene.value("fate", i)];
+    const isHit = fate === "collides" || fate === "strays";
+    const turn = this.turning(scene, i);
+    this.within(context, scene.position[i], scene.lateral[i], scene.yaw[i], (length, width) => {
+      context.fillStyle = isChanger ? colours.changer : colours.vehicle;
+      traceBody(context, length, width);
+      context.fill();
+      if (length > 16) this.drawWindows(context, length, width);
+      this.drawOutline(context, colours, disposition, length, width);
+      if (isBraking) this.drawBrakes(context, colours, length, width);
+      if (turn !== 0 && Math.floor(scene.time / BLINK) % 2 === 0) {
+        this.drawIndicator(context, colours, length, width, turn);
+      }
+      if (isHit) this.drawCross(context, colours, length);
+    });
+  }
+
+  /** 1 while a vehicle indicates left, -1 right, else 0. */
+  turning(scene, i) {
+    const command = scene.value("command", i);
+    if (command < 0) return scene.value("moving_over", i);
+    if (this.names.outcome[scene.value("outcome", i)] !== "unfinished") return 0;
+    const direction = scene.value("direction", i);
+    return this.names.phase[scene.value("phase", i)] === "aborting" ? -direction : direction;
+  }
+
+  drawWindows(context, length, width) {
+    context.fillStyle = "rgba(10, 14, 20, 0.55)";
+    context.beginPath();
+    context.moveTo(0.1 * length, -0.4 * width);
+    context.lineTo(0.25 * length, -0.32 * width);
+    context.lineTo(0.25 * length, 0.32 * width);
+    context.lineTo(0.1 * length, 0.4 * width);
+    context.closePath();
+    context.fill();
+    context.fillRect(-0.38 * length, -0.34 * width, 0.1 * length, 0.68 * width);
+  }
+
+  drawOutline(context, colours, disposition, length, width) {
+    const name = OUTLINED.includes(disposition) ? disposition : "external";
+    context.strokeStyle = colours[name];
+    context.lineWidth = Math.min(3, Math.max(1, 0.1 * width));
+    // Told apart by their patterns, too.
+    const unit = context.lineWidth;
+    if (name === "adversarial") context.setLineDash([3 * unit, 1.5 * unit]);
+    else if (name === "external") context.setLineDash([unit, unit]);
+    traceBody(context, length, width);
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  drawBrakes(context, colours, length, width) {
+    context.fillStyle = colours.brake_light;
+    const size = Math.max(1.5, 0.26 * width);
+    const depth = Math.max(1.5, 0.07 * length);
+    for (const side of [-1, 1]) {
+      context.fillRect(-length / 2 - 0.3 * depth, side * 0.34 * width - size / 2, depth, size);
+    }
+  }
+
+  drawIndicator(context, colours, length, width, turn) {
+    context.fillStyle = colours.indicator;
+    const size = Math.max(2.5, 0.3 * width);
+    const side = -turn * (width / 2);
+    for (const end of [-0.42, 0.42]) {
+      context.fillRect(end * length - size / 2, side - size / 2, size, size);
+    }
+  }
+
+  drawCross(context, colours, length) {
+    context.strokeStyle = colours.external;
+    context.lineWidth = Math.max(2, 0.06 * length);
+    context.beginPath();
+    for (const side of [-1, 1]) {
+      context.moveTo(-0.45 * length, side * 0.45 * length);
+      context.lineTo(0.45 * length, -side * 0.45 * length);
+    }
+    context.stroke();
+  }
+
+  drawRing(context, colours, scene, i) {
+    this.within(context, scene.position[i], scene.lateral[i], scene.yaw[i], (length, width) => {
+      context.strokeStyle = colours.marking;
+      context.lineWidth = 1.5;
+      context.beginPath();
+      context.roundRect(-length / 2 - 4, -width / 2 - 4, length + 8, width + 8, 6);
+      context.stroke();
+    });
+  }
+
+  /** The gap in the target lane, between the vehicles that the rule looks at. */
+  drawGap(context, colours, scene, i) {
+    if (scene.value("command", i) < 0) return;
+    const { camera, header } = this;
+    const half = header.vehicle_length / 2;
+    const ends = [
+      [scene.find(scene.value("target_follower", i)), half, -camera.span],
+      [scene.find(scene.value("target_leader", i)), -half, camera.span],
+    ].map(([j, bumper, far]) => (j >= 0 ? scene.position[j] + bumper : scene.position[i] + far));
+    const lane = scene.value("target_lane", i);
+    const low = (lane + 0.15) * header.lane_width;
+    const high = (lane + 0.85) * header.lane_width;
+    if (ends[1] <= ends[0]) return;
+    const isEngaged = this.names.phase[scene.value("phase", i)] === "engaged";
+    context.fillStyle = isEngaged ? colours.safe_gap : colours.refused_gap;
+    context.globalAlpha = 0.45;
+    camera.trace(context, ends[0], ends[1], low, high);
+    context.fill();
+    context.globalAlpha = 1;
+    if (!isEngaged) this.hatch(context, colours);
+    if (scene.find(scene.value("target_follower", i)) >= 0 && scene.find(scene.value("target_leader", i)) >= 0) {
+      this.writeLength(context, colours, ends, 0.5 * (low + high));
+    }
+  }
+
+  /** A refused gap is hatched, so that colour alone does not tell. */
+  hatch(context, colours) {
+    const { width, height } = this.camera;
+    context.save();
+    context.clip();
+    context.strokeStyle = colours.refused_gap;
+    context.lineWidth = 2;
+    context.beginPath();
+    for (let x = -height; x < width; x += 12) {
+      context.moveTo(x, height);
+      context.lineTo(x + height, 0);
+    }
+    context.stroke();
+    context.restore();
+  }
+
+  writeLength(context, colours, ends, lateral) {
+    const { camera } = this;
+    const length = ends[1] - ends[0];
+    if (length * camera.scale < 60) return;
+    // Where the middle is out of sight, in the part that is in sight.
+    const half = 0.5 * camera.span - 30 / camera.scale;
+    const first = Math.max(ends[0], camera.position - half);
+    const last = Math.min(ends[1], camera.position + half);
+    const point = camera.project(0.5 * (first + last), lateral, this.point);
+    context.font = "600 13px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.lineWidth = 4;
+    context.strokeStyle = colours.road;
+    context.fillStyle = colours.marking;
+    context.strokeText(`${length.toFixed(1)} m`, point.x, point.y);
+    context.fillText(`${length.toFixed(1)} m`, point.x, point.y);
+  }
+
+  /** The vehicle at a pixel of the canvas, or -1. */
+  pick(scene, x, y) {
+    const reach = Math.max(14, 0.55 * this.header.vehicle_length * this.camera.scale);
+    let nearest = -1;
+    let least = reach;
+    for (let i = 0; i < scene.count; i += 1) {
+      const point = this.camera.project(scene.position[i], scene.lateral[i], this.point);
+      const distance = Math.hypot(point.x - x, point.y - y);
+      if (distance < least) {
+        least = distance;
+        nearest = scene.vehicle[i];
+      }
+    }
+    return nearest;
+  }
+}

@@ -1,0 +1,50 @@
+"""The command that makes a replay of a trajectory for the browser."""
+
+import argparse
+from pathlib import Path
+
+from marl_lanes.cli.arguments import Commands
+from marl_lanes.cli.progress import Progress
+
+
+def add(commands: Commands) -> None:
+    """Add ``replay``."""
+    replay = commands.add_parser(
+        "replay",
+        help="make one HTML file that replays a trajectory in the browser",
+        description="Make one HTML file that replays a road of a trajectory in the browser, also "
+        "without a network. docs/replay.md says what one sees.",
+    )
+    replay.add_argument("trajectory", type=Path, help="a Parquet file")
+    replay.add_argument("--out", type=Path, required=True, help="the HTML file to write")
+    replay.add_argument("--road", type=int, help="index of the road (default: the first one)")
+    replay.add_argument(
+        "--no-optimum",
+        action="store_true",
+        help="without the cheapest lane change beside each driven one, which takes a moment",
+    )
+    replay.set_defaults(run=_replay)
+
+
+def _replay(options: argparse.Namespace) -> None:
+    # Imported here, because other commands do not need it.
+    from marl_lanes.browser.bundle import write_replay
+    from marl_lanes.browser.optima import find_optima
+    from marl_lanes.trajectory.events import find_commands
+    from marl_lanes.trajectory.file import read_trajectory
+    from marl_lanes.trajectory.metadata import TrajectoryError
+
+    if options.out.is_dir():
+        raise ValueError(f"--out {options.out}: must be a file, not a folder")
+    trajectory = read_trajectory(options.trajectory)
+    if not trajectory.roads:
+        raise TrajectoryError(f"{options.trajectory}: has no rows")
+    road = trajectory.roads[0] if options.road is None else options.road
+    rows = trajectory.rows_of(road)
+    optima = None
+    if not options.no_optimum:
+        show = Progress("optimizing", max(1, len(find_commands(rows))))
+        optima = find_optima(rows, trajectory.scenario, progress=show)
+        show.close()
+    size = write_replay(options.out, trajectory, road, optima) / 1e6
+    print(f"{options.out}: road {road} of {len(trajectory.roads)}, {size:.1f} MB")
