@@ -145,4 +145,4 @@ def _draw_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
         run_maneuvers(scenario, greedy_policy(model.network), 1, seed=seed)[0] for model in loaded
     )
     labels = (f"{loaded[0].transitions:,} transitions", f"{loaded[1].transitions:,} transitions")
-    draw_maneuver(run.figures / "first_and_last.png", first, last, labels, scenario)
+    draw_maneuver(run.figures / "first_and_last", first, last, labels, scenario)

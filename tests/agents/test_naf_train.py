@@ -41,7 +41,11 @@ collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
 )
 PNG = b"\x89PNG\r\n\x1a\n"
-FIGURES = {"loss.png", "returns.png", "saved_models.png", "first_and_last.png"}
+FIGURES = {
+    f"{name}.{kind}"
+    for name in ("loss", "returns", "saved_models", "first_and_last")
+    for kind in ("svg", "png")
+}
 
 
 def rows(path):
