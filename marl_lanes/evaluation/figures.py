@@ -148,11 +148,11 @@ def check_figure(path: Path) -> None:
 
 
 @styled
-def draw_crossplay(path: Path, result: Mapping[str, Any]) -> None:
+def draw_crossplay(paths: Sequence[Path], result: Mapping[str, Any]) -> None:
     """Draw heat maps, changers by followers, with value and interval in every cell.
 
     Args:
-        path: of the figure.
+        paths: where the figure is written, in the format of each ending.
         result: of ``crossplay``.
     """
     changers, followers = list(result["changers"]), list(result["followers"])
@@ -179,15 +179,15 @@ def draw_crossplay(path: Path, result: Mapping[str, Any]) -> None:
         f"{result['num_maneuvers']} maneuvers per cell, "
         f"{100.0 * result['confidence']:g} % intervals"
     )
-    write_figure(figure, path)
+    write_figure(figure, *paths)
 
 
 @styled
-def draw_gaps(path: Path, result: Mapping[str, Any]) -> None:
+def draw_gaps(paths: Sequence[Path], result: Mapping[str, Any]) -> None:
     """Draw the gap and the follower's acceleration in one maneuver with every kind of follower.
 
     Args:
-        path: of the figure.
+        paths: where the figure is written, in the format of each ending.
         result: of ``compare_followers``.
     """
     title = f"Maneuver {result['maneuver']} of seed {result['seed']} on {result['scenario']}"
@@ -207,7 +207,7 @@ def draw_gaps(path: Path, result: Mapping[str, Any]) -> None:
     panels[1].axhline(0.0, color=GREY, ls="-", lw=0.6)
     panels[1].set_ylabel("follower's acceleration [m/s²]")
     panels[1].set_xlabel("time since engagement [s]")
-    write_figure(figure, path)
+    write_figure(figure, *paths)
 
 
 def _read(path: Path) -> dict[str, NDArray[np.float64]]:
@@ -264,5 +264,4 @@ def _mark_optimum(axes: Any, optimal_return: float | None) -> None:
 
 
 def _write_formats(figure: Figure, stem: Path) -> None:
-    for kind in FORMATS:
-        write_figure(figure, stem.with_name(f"{stem.name}.{kind}"))
+    write_figure(figure, *(stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS))

@@ -78,11 +78,12 @@ styled = context(STYLE, after_reset=True)
 """Decorator: a function draws and writes in STYLE, whatever the user's own settings are."""
 
 
-def write_figure(figure: Figure, path: Path) -> None:
-    """Write the figure completely or not at all, in the format that the path's ending names."""
-    kind = path.suffix[1:].lower()
+def write_figure(figure: Figure, *paths: Path) -> None:
+    """Write the figure, each file completely or not at all, in the format that its ending names."""
+    for path in paths:
+        kind = path.suffix[1:].lower()
 
-    def write(temporary: Path) -> None:
-        figure.savefig(temporary, format=kind, metadata=_METADATA.get(kind))
+        def write(temporary: Path, kind: str = kind) -> None:
+            figure.savefig(temporary, format=kind, metadata=_METADATA.get(kind))
 
-    write_atomically(path, write)
+        write_atomically(path, write)

@@ -44,9 +44,9 @@ def drawn(monkeypatch):
     """Figures by file name, as they are saved."""
     kept, write = {}, figures.write_figure
 
-    def keep(figure, path):
-        kept[path.name] = figure
-        write(figure, path)
+    def keep(figure, *paths):
+        kept.update({path.name: figure for path in paths})
+        write(figure, *paths)
 
     monkeypatch.setattr(figures, "write_figure", keep)
     return kept
@@ -109,7 +109,7 @@ def test_every_axis_has_a_unit(tmp_path, drawn):
     draw_training(make_run(tmp_path), 17, -2.25)
     scenario = load_scenario("paper")
     draw_maneuver(tmp_path / "both", maneuver(5, 0.25), maneuver(3, 0.5), ("a", "b"), scenario)
-    draw_gaps(tmp_path / "gaps.png", gaps_result())
+    draw_gaps([tmp_path / "gaps.png"], gaps_result())
     assert len(drawn) == 9
     for name, figure in drawn.items():
         assert len(labels(figure)) >= 2, name
@@ -126,7 +126,7 @@ def test_the_same_data_gives_the_same_bytes(tmp_path):
         folder.mkdir()
         with matplotlib.rc_context(settings):
             draw_training(make_run(folder), 17, -2.25)
-            draw_gaps(folder / "figures" / "gaps.svg", gaps_result())
+            draw_gaps([folder / "figures" / "gaps.svg"], gaps_result())
     first, second = (
         {path.name: path.read_bytes() for path in folder.glob("figures/*")} for folder in folders
     )
@@ -199,7 +199,7 @@ def crossplay_result(time):
 @pytest.mark.parametrize("time", [statistics(5.5, 5.25, 6.0), statistics(None)])
 def test_a_crossplay_is_four_heat_maps(tmp_path, drawn, time):
     path = tmp_path / "deep" / "pairs.png"
-    draw_crossplay(path, crossplay_result(time))
+    draw_crossplay([path], crossplay_result(time))
     assert path.read_bytes().startswith(PNG)
     assert [file.name for file in path.parent.iterdir()] == ["pairs.png"]
     panels = [axes for axes in drawn["pairs.png"].axes if axes.get_images() and axes.get_xlabel()]
@@ -245,7 +245,7 @@ def gaps_result():
 
 
 def test_the_gap_under_every_kind_of_follower(tmp_path, drawn):
-    draw_gaps(tmp_path / "gaps.svg", gaps_result())
+    draw_gaps([tmp_path / "gaps.svg"], gaps_result())
     assert b"<svg" in (tmp_path / "gaps.svg").read_bytes()
     gap, acceleration = drawn["gaps.svg"].axes
     assert lines(drawn["gaps.svg"])["kind"].get_ydata().tolist() == [20.0, 20.5, 21.0, 22.0]
@@ -270,7 +270,7 @@ def test_a_picture_is_whole_or_not_there(tmp_path, monkeypatch):
     path = tmp_path / "pairs.png"
     path.write_bytes(b"before")
     with pytest.raises(OSError, match="disk full"):
-        draw_crossplay(path, crossplay_result(statistics(5.0)))
+        draw_crossplay([path], crossplay_result(statistics(5.0)))
     assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"before"]
 
 
