@@ -56,7 +56,7 @@ def _draw_loss(run: Path, pretraining_transitions: int) -> None:
     metrics = _read(run / "metrics.csv")
     figure, (axes,) = _new_figure("Loss of each batch of updates", 1)
     has_loss = np.isfinite(metrics["loss"])
-    axes.plot(metrics["transitions"][has_loss], metrics["loss"][has_loss], color=BLUE, lw=0.8)
+    axes.plot(metrics["transitions"][has_loss], metrics["loss"][has_loss], color=BLUE, lw=1.0)
     axes.set_yscale("log")
     axes.set_ylabel("mean squared error [1]")
     _mark_stage((axes,), pretraining_transitions)
@@ -74,9 +74,10 @@ def _draw_returns(run: Path, pretraining_transitions: int, optimal_return: float
     window = min(RUNNING_MEAN, returns.size)
     if window:
         mean = np.convolve(returns, np.full(window, 1.0 / window), mode="valid")
-        axes.plot(
-            transitions[window - 1 :], mean, "-", color=BLUE, label=f"running mean of {window}"
-        )
+        # A single mean would be a line without length.
+        look = "-" if mean.size > 1 else "o"
+        label = f"running mean of {window}"
+        axes.plot(transitions[window - 1 :], mean, look, color=BLUE, label=label)
         axes.set_ylim(float(np.quantile(returns, 0.002)) - 0.5, 0.0)
     axes.set_ylabel("return R [1]")
     _mark_optimum(axes, optimal_return)
@@ -120,8 +121,8 @@ def draw_maneuver(
         labels: names of both.
         scenario: scenario of the maneuver.
     """
-    figure = Figure(figsize=(1.5 * WIDTH, 0.6 * WIDTH), layout="constrained")
-    panels: Any = figure.subplots(1, 2)
+    title = "The same maneuver with the first saved and the final model"
+    figure, panels = _new_figure(title, 2)
     for axes, name, unit in zip(
         panels, ("yaw_acceleration", "yaw_rate"), ("rad/s²", "rad/s"), strict=True
     ):
@@ -133,10 +134,9 @@ def draw_maneuver(
             time = np.arange(1, values.size + 1) * scenario.time_step
             axes.plot(time, values, look, color=color, label=label)
         axes.axhline(0.0, color=GREY, ls="-", lw=0.6)
-        axes.set_xlabel("time since engagement [s]")
         axes.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
     panels[0].legend()
-    figure.suptitle("The same maneuver with the first and the last saved model")
+    panels[1].set_xlabel("time since engagement [s]")
     _write_formats(figure, stem)
 
 

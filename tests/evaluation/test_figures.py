@@ -151,7 +151,7 @@ def maneuver(count, rate):
     rows = np.zeros(count, TRACE)
     rows["yaw_rate"] = rate
     rows["yaw_acceleration"] = np.arange(count)
-    return Maneuver(0, 0, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows)
+    return Maneuver(0, 0, 7, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows)
 
 
 @pytest.mark.parametrize("count", [0, 5])
