@@ -2,7 +2,9 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
 from pathlib import Path
+from platform import python_version
 from typing import Any
 
 import torch
@@ -10,29 +12,50 @@ from tqdm import tqdm
 
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.evaluation.figures import draw_maneuver, draw_training
-from marl_lanes.evaluation.metrics import evaluate
+from marl_lanes.evaluation.headlines import estimate_headlines
+from marl_lanes.evaluation.intervals import CONFIDENCE
+from marl_lanes.evaluation.maneuver_table import tabulate, write_maneuvers
+from marl_lanes.evaluation.metrics import evaluate, measure_each, summarise
 from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
 from marl_lanes.evaluation.tables import format_summary
-from marl_lanes.files import write_json
+from marl_lanes.files import write_json, write_text
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
+from marl_lanes.report.page import write_report
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import load_policy
 from marl_lanes.training.collectors import WorkerError
 from marl_lanes.training.config import ChangersConfig, ConfigError, write_config
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, check_empty
+from marl_lanes.training.run_folder import (
+    COMMAND_FILE,
+    EVALUATION_FILE,
+    FINAL_MANEUVERS_FILE,
+    FINAL_MODEL,
+    RunFolder,
+    check_empty,
+)
 from marl_lanes.training.timing import format_split
 from marl_lanes.training.transitions import CPU
 from marl_lanes.training.workers import choose_collector
+
+PACKAGES = ("marl-lanes", "torch", "torchrl", "tensordict", "numba", "numpy")
+"""The packages whose versions the evaluation names."""
 
 MakeAlgorithm = Callable[[LaneChangeEnv, Scenario, torch.device, torch.device], Algorithm]
 """Makes an algorithm from the environment that collects, the scenario, and the devices where it
 learns and acts. Torch's generator is seeded before."""
 
 
-def start(config: ChangersConfig, make_algorithm: MakeAlgorithm) -> tuple[Learner, Scenario]:
+def start(
+    config: ChangersConfig, make_algorithm: MakeAlgorithm, command: str
+) -> tuple[Learner, Scenario]:
     """Begin a new run, or resume one. After an error no file is left behind.
+
+    Args:
+        config: of the run.
+        make_algorithm: what the learner is made of.
+        command: the command line that begins the run; a resumed run keeps its own.
 
     Raises:
         ConfigError, ScenarioError, CheckpointError: the run cannot be made.
@@ -66,6 +89,7 @@ def start(config: ChangersConfig, make_algorithm: MakeAlgorithm) -> tuple[Learne
         else:
             learner.begin(folder)
             write_config(learner.run.config, config)
+            write_text(learner.run.path / COMMAND_FILE, f"{command}\n")
     except BaseException:
         learner.collector.shutdown()
         raise
@@ -106,33 +130,40 @@ def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None
 
 
 def _report(learner: Learner, config: ChangersConfig, scenario: Scenario) -> dict[str, Any]:
-    """Evaluate the final policy, write evaluation.json and the figures."""
+    """Evaluate the final policy; write its numbers, the figures and the report."""
     run = learner.run
-    number = config.evaluation.final_num_maneuvers
+    settings = config.evaluation
+    number = settings.final_num_maneuvers
     network = load_policy(run.checkpoints / FINAL_MODEL, scenario).network
     with tqdm(total=2 * number, unit="maneuver", desc="evaluating") as bar:
         maneuvers = run_maneuvers(
             scenario,
             greedy_policy(network),
             number,
-            seed=config.evaluation.seed,
+            seed=settings.seed,
             progress=lambda count: bar.update(min(count, number) - bar.n),
         )
-        summary = evaluate(
+        measured, no_optimum = measure_each(
             maneuvers, scenario, progress=lambda count: bar.update(number + count - bar.n)
         )
+    summary = summarise(measured, no_optimum=no_optimum)
     write_json(
-        run.path / "evaluation.json",
+        run.path / EVALUATION_FILE,
         {
             "scenario": scenario.name,
             "policy": f"checkpoints/{FINAL_MODEL}",
-            "seed": config.evaluation.seed,
+            "seed": settings.seed,
             **summary,
+            "confidence": CONFIDENCE,
+            "intervals": estimate_headlines(measured, [maneuver.env for maneuver in maneuvers]),
+            "versions": {name: version(name) for name in PACKAGES} | {"python": python_version()},
         },
     )
+    write_maneuvers(run.path / FINAL_MANEUVERS_FILE, tabulate(maneuvers, measured, scenario))
     stage_one = learner.algorithm.pretraining_transitions
     draw_training(run.path, stage_one, summary["mean_optimal_return"])
-    _draw_first_and_last(run, scenario, config.evaluation.seed)
+    _draw_first_and_last(run, scenario, settings.seed)
+    write_report(run.path)
     return summary
 
 

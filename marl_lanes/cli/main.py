@@ -4,9 +4,9 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from marl_lanes.cli import comparisons, scenarios
+from marl_lanes.cli import comparisons, report, scenarios
 
-COMMANDS = (scenarios, comparisons)
+COMMANDS = (scenarios, comparisons, report)
 """The modules of commands, in the order of the help; each has ``add(commands)``."""
 
 
