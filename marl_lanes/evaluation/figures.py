@@ -81,7 +81,8 @@ def _draw_returns(run: Path, pretraining_transitions: int, optimal_return: float
         axes.set_ylim(float(np.quantile(returns, 0.002)) - 0.5, 0.0)
     axes.set_ylabel("return R [1]")
     _mark_optimum(axes, optimal_return)
-    _mark_stage((axes,), pretraining_transitions)
+    # The legend is below.
+    _mark_stage((axes,), pretraining_transitions, height=1.0)
     axes.legend(loc="lower right", markerscale=4.0)
     _write_formats(figure, run / "figures" / "returns")
 
@@ -241,17 +242,17 @@ def _new_figure(title: str, num_panels: int, **options: Any) -> tuple[Figure, An
     return figure, panels
 
 
-def _mark_stage(panels: Sequence[Any], pretraining_transitions: int) -> None:
-    """A dotted line at the end of stage one, with its name in the first panel."""
+def _mark_stage(panels: Sequence[Any], pretraining_transitions: int, height: float = 0.0) -> None:
+    """A dotted line at the end of stage one, with its name in the first panel, at that height."""
     if not pretraining_transitions:
         return
     for axes in panels:
         axes.axvline(pretraining_transitions, color=GREY, ls=":", lw=1.2)
     panels[0].annotate(
         "end of stage one",
-        (pretraining_transitions, 0.0),
+        (pretraining_transitions, height),
         xycoords=("data", "axes fraction"),
-        xytext=(4.0, 4.0),
+        xytext=(4.0, 4.0 - 16.0 * height),
         textcoords="offset points",
         fontsize="small",
         bbox={"facecolor": LIGHT.background, "edgecolor": "none", "pad": 1.0},

@@ -10,6 +10,9 @@ from marl_lanes.report.run_files import REPLAY_FOLDER, FinalManeuver, RunFiles
 LOW_SUCCESS = 0.95
 """Below this share of successes the report warns."""
 
+TRAJECTORY_FOLDER = "trajectories"
+"""Folder of recorded roads in the run folder."""
+
 MIN_ROADS = 20
 """Intervals over fewer roads are too narrow (docs/metrics.md)."""
 
@@ -72,7 +75,9 @@ def find_warnings(run: RunFiles) -> list[str]:
     total = run.evaluation.num_maneuvers
     failed = sum(not one.is_success for one in run.maneuvers)
     found = []
-    if 2 * failed > total:
+    if failed == total:
+        found.append("Every lane change fails. This policy does not master the scenario.")
+    elif 2 * failed > total:
         found.append(
             f"Most lane changes fail: {failed} of {total}. This policy does not master the "
             "scenario; its cost and times describe the few changes that it completes."
@@ -115,21 +120,19 @@ def _vehicles(count: int) -> str:
 
 
 def describe_replays(run: RunFiles, road: int) -> list[str]:
-    """The commands that record the roads, make the replay of one, and write the report anew."""
+    """The commands that record a road, make its replay, and write the report anew."""
     evaluation = run.evaluation
     folder = run.path
-    trajectories = folder / "final.parquet"
-    evaluate = [
-        "evaluate",
-        str(folder / evaluation.policy),
+    trajectory = folder / TRAJECTORY_FOLDER / f"road_{road:04d}.parquet"
+    record = [
+        *("record", str(folder / evaluation.policy)),
         *("--scenario", run.scenario),
-        *("--maneuvers", str(evaluation.num_maneuvers)),
         *("--seed", str(evaluation.seed)),
-        *("--trajectories", str(trajectories)),
+        *("--road", str(road)),
+        *("--out", str(trajectory)),
     ]
-    replay = ["replay", str(trajectories), "--road", str(road), "--out"]
+    replay = ["replay", str(trajectory), "--out", str(folder / replay_of(road))]
     return [
-        shlex.join(["marl-lanes", *evaluate]),
-        shlex.join(["marl-lanes", *replay, str(folder / replay_of(road))]),
-        shlex.join(["marl-lanes", "report", str(folder)]),
+        shlex.join(["marl-lanes", *arguments])
+        for arguments in (record, replay, ["report", str(folder)])
     ]

@@ -35,7 +35,8 @@ def test_a_good_run_has_no_warning(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("num_failed", "start"), [(1, None), (2, "2 of 20 lane changes fail"), (11, "Most lane")]
+    ("num_failed", "start"),
+    [(1, None), (2, "2 of 20 lane changes fail"), (11, "Most lane"), (20, "Every lane")],
 )
 def test_low_success_is_said_in_words(tmp_path, num_failed, start):
     rows = [
@@ -68,15 +69,14 @@ def test_intervals_over_few_roads_are_doubted(tmp_path):
 
 def test_the_commands_can_be_given_to_a_shell(tmp_path):
     run = read_run(make_run(tmp_path / "a run"))
-    evaluate, replay, report = map(shlex.split, describe_replays(run, 17))
+    record, replay, report = map(shlex.split, describe_replays(run, 17))
     folder = str(tmp_path / "a run")
-    assert evaluate[:3] == ["marl-lanes", "evaluate", f"{folder}/checkpoints/final.pt"]
-    assert evaluate[3:] == [
-        *("--scenario", "paper", "--maneuvers", "4", "--seed", "1000000"),
-        *("--trajectories", f"{folder}/final.parquet"),
+    road = f"{folder}/trajectories/road_0017.parquet"
+    assert record == [
+        *("marl-lanes", "record", f"{folder}/checkpoints/final.pt", "--scenario", "paper"),
+        *("--seed", "1000000", "--road", "17", "--out", road),
     ]
-    assert replay[2:] == [
-        *(f"{folder}/final.parquet", "--road", "17"),
-        *("--out", f"{folder}/replays/road_0017.html"),
+    assert replay == [
+        *("marl-lanes", "replay", road, "--out", f"{folder}/replays/road_0017.html"),
     ]
     assert report == ["marl-lanes", "report", folder]
