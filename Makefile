@@ -1,6 +1,7 @@
 # make train  - train the shared NAF policy on the paper's scenario, evaluate it, write the report
 # make check  - linters, import contract, type checker, the tests that neither train nor take long
 # make test   - the same with all tests
+# make figures - draw the figures of docs/ anew, in half a minute
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch
 # Each sets up .venv when it is missing or out of date.
 
@@ -15,7 +16,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loads
 # What stands before the tests of `check` and `test`, side by side.
 MAKEFLAGS += --jobs=2
 
-.PHONY: train check test lint types kernels benchmark clean
+.PHONY: train check test lint types kernels figures benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -37,6 +38,10 @@ lint: $(VENV)/installed
 # Compiled once, before several processes would each do it.
 kernels: $(VENV)/installed
 	$(BIN)/python -c "from marl_lanes import Simulator; Simulator('paper').reset()"
+
+figures: $(VENV)/installed
+	$(BIN)/marl-lanes followers --policy tuned-cascade --scenario dense \
+		--figure docs/figures/followers.svg --figure docs/figures/followers.png
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'

@@ -6,24 +6,22 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from marl_lanes.envs.batched import LaneChangeEnv
-from marl_lanes.evaluation.figures import draw_maneuver, draw_training
 from marl_lanes.evaluation.metrics import evaluate
-from marl_lanes.evaluation.recording import record_maneuvers, record_road
-from marl_lanes.evaluation.rollout import check_episodes, run_maneuvers
+from marl_lanes.evaluation.recording import record_maneuvers
+from marl_lanes.evaluation.rollout import check_episodes
 from marl_lanes.evaluation.tables import format_summary
 from marl_lanes.extras import need
-from marl_lanes.files import write_json
-from marl_lanes.naf.checkpoint import Checkpoint, PolicyNetwork, greedy_policy
+from marl_lanes.files import write_text
+from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
+from marl_lanes.report.conclusion import conclude
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.training.algorithms.algorithm import Algorithm
-from marl_lanes.training.checkpoint import load_policy
 from marl_lanes.training.collectors import WorkerError
 from marl_lanes.training.config import ChangersConfig, ConfigError, write_config
 from marl_lanes.training.learner import Learner
-from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, check_empty
+from marl_lanes.training.run_folder import COMMAND_FILE, check_empty
 from marl_lanes.training.timing import format_split
 from marl_lanes.training.transitions import CPU
 from marl_lanes.training.workers import choose_collector
@@ -32,12 +30,16 @@ MakeAlgorithm = Callable[[LaneChangeEnv, Scenario, torch.device, torch.device], 
 """Makes an algorithm from the environment that collects, the scenario, and the devices where it
 learns and acts. Torch's generator is seeded before."""
 
-_MAX_FILM = 30.0
-"""[s] Of the road's time; the film of a training is short."""
 
-
-def start(config: ChangersConfig, make_algorithm: MakeAlgorithm) -> tuple[Learner, Scenario]:
+def start(
+    config: ChangersConfig, make_algorithm: MakeAlgorithm, command: str
+) -> tuple[Learner, Scenario]:
     """Begin a new run, or resume one. After an error no file is left behind.
+
+    Args:
+        config: of the run.
+        make_algorithm: what the learner is made of.
+        command: the command line that begins the run; a resumed run keeps its own.
 
     Raises:
         ConfigError, ScenarioError, CheckpointError, MissingExtraError: the run cannot be made.
@@ -74,6 +76,7 @@ def start(config: ChangersConfig, make_algorithm: MakeAlgorithm) -> tuple[Learne
         else:
             learner.begin(folder)
             write_config(learner.run.config, config)
+            write_text(learner.run.path / COMMAND_FILE, f"{command}\n")
     except BaseException:
         learner.collector.shutdown()
         raise
@@ -110,89 +113,8 @@ def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None
     if not learner.train(evaluate_model):
         print(f"interrupted; continue with resume={learner.run.path}")
         return
-    summary = _report(learner, config, scenario)
+    stage_one = learner.algorithm.pretraining_transitions
+    summary = conclude(learner.run, config.evaluation, scenario, stage_one)
     print(f"run folder: {learner.run.path}")
     print(format_summary({**learner.seconds, **learner.memory, **summary}))
     print(f"time of the training, without evaluating and saving:\n{format_split(learner.split)}")
-
-
-def _report(learner: Learner, config: ChangersConfig, scenario: Scenario) -> dict[str, Any]:
-    """Evaluate the final policy, write evaluation.json and the figures."""
-    run = learner.run
-    number = config.evaluation.final_num_maneuvers
-    network = load_policy(run.checkpoints / FINAL_MODEL, scenario).network
-    with tqdm(total=2 * number, unit="maneuver", desc="evaluating") as bar:
-        maneuvers = run_maneuvers(
-            scenario,
-            greedy_policy(network),
-            number,
-            seed=config.evaluation.seed,
-            progress=lambda count: bar.update(min(count, number) - bar.n),
-        )
-        summary = evaluate(
-            maneuvers, scenario, progress=lambda count: bar.update(number + count - bar.n)
-        )
-    write_json(
-        run.path / "evaluation.json",
-        {
-            "scenario": scenario.name,
-            "policy": f"checkpoints/{FINAL_MODEL}",
-            "seed": config.evaluation.seed,
-            **summary,
-        },
-    )
-    stage_one = learner.algorithm.pretraining_transitions
-    draw_training(run.path, stage_one, summary["mean_optimal_return"])
-    _draw_first_and_last(run, scenario, config.evaluation.seed)
-    if config.evaluation.record:
-        _film_first_and_last(run, scenario, config.evaluation.seed)
-    return summary
-
-
-def _load_first_and_last(run: RunFolder, scenario: Scenario) -> list[Checkpoint[PolicyNetwork]]:
-    saved = sorted(run.checkpoints.glob("step_*.pt"))
-    paths = (saved[0] if saved else run.checkpoints / FINAL_MODEL, run.checkpoints / FINAL_MODEL)
-    return [load_policy(path, scenario) for path in paths]
-
-
-def _draw_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
-    """Figure 8: the first and the last saved model on the same maneuver."""
-    loaded = _load_first_and_last(run, scenario)
-    first, last = (
-        run_maneuvers(scenario, greedy_policy(model.network), 1, seed=seed)[0] for model in loaded
-    )
-    labels = (f"{loaded[0].transitions:,} transitions", f"{loaded[1].transitions:,} transitions")
-    draw_maneuver(run.figures / "first_and_last.png", first, last, labels, scenario)
-
-
-def _film_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
-    """Figure 8 as a film: the first lane change of the last model, and what the first one does."""
-    from marl_lanes.rendering.excerpt import find_excerpt
-    from marl_lanes.rendering.film import cut, write_film
-
-    loaded = _load_first_and_last(run, scenario)
-    roads = [
-        record_road(scenario, greedy_policy(model.network), seed=seed, name=str(model.transitions))
-        for model in loaded
-    ]
-    excerpt = find_excerpt([road.rows for road in reversed(roads)])
-    if excerpt is None:
-        print("no film: the last model never engages on the first road", file=sys.stderr)
-        return
-    clips = [
-        cut(
-            f"{model.transitions:,} transitions",
-            road.frames(0),
-            excerpt.start,
-            min(excerpt.end, excerpt.start + _MAX_FILM),
-            vehicle,
-        )
-        for model, road, vehicle in zip(loaded, roads, reversed(excerpt.vehicles), strict=True)
-    ]
-    with tqdm(unit="frame", desc="filming") as bar:
-
-        def show(count: int, number: int) -> None:
-            bar.total = number
-            bar.update(count - bar.n)
-
-        write_film(run.film, clips, progress=show)

@@ -79,7 +79,11 @@ def copy_file(source: Path, target: Path) -> None:
 
 def write_json(path: Path, data: Any) -> None:
     """Write ``data`` as indented JSON."""
-    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    write_text(path, json.dumps(data, indent=2, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` as UTF-8."""
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 

@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted((ROOT / "agents").rglob("*.md"))]
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+IMAGE = re.compile(r"!\[[^\]]+\]\(([^)\s]+)\)|<img [^>]*src=\"([^\"]+)\"")
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
@@ -87,6 +88,23 @@ def test_every_relative_link_leads_somewhere(page):
         assert target.exists(), link
         if anchor:
             assert anchor in anchors(target), link
+
+
+def test_every_picture_is_an_image_that_make_figures_draws():
+    makefile = text_of(ROOT / "Makefile").partition("\nfigures:")[2].partition("\n\n")[0]
+    starts = {".svg": b"<?xml", ".png": b"\x89PNG", ".gif": b"GIF8", ".webp": b"RIFF"}
+    drawn = set(re.findall(r"docs/figures/[\w.-]+", makefile))
+    shown = set()
+    for page in PAGES:
+        for link, source in IMAGE.findall(text_of(page)):
+            path = (page.parent / (link or source)).resolve()
+            shown.add(path.relative_to(ROOT).as_posix())
+    assert shown
+    assert shown <= drawn
+    assert {path.relative_to(ROOT).as_posix() for path in (DOCS / "figures").iterdir()} == drawn
+    for name in drawn:
+        path = ROOT / name
+        assert path.read_bytes().startswith(starts[path.suffix]), name
 
 
 def test_the_pages_are_found_and_linked_from_their_index():

@@ -30,7 +30,7 @@ def test_what_cannot_be_trained_is_refused_before_a_file_is_written(
     tmp_path, options, error, message
 ):
     with pytest.raises(error) as caught:
-        experiment.start(typed(f"output={tmp_path / 'run'}", *options), make_nothing)
+        experiment.start(typed(f"output={tmp_path / 'run'}", *options), make_nothing, "train")
     assert message in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
@@ -39,14 +39,16 @@ def test_a_scenario_without_an_end_is_refused(tmp_path):
     file = tmp_path / "endless.yaml"
     file.write_text("num_agents: null\nhorizon: null\n", encoding="utf-8")
     with pytest.raises(ValueError, match="num_agents"):
-        experiment.start(typed(f"output={tmp_path / 'run'}", f"scenario={file}"), make_nothing)
+        experiment.start(
+            typed(f"output={tmp_path / 'run'}", f"scenario={file}"), make_nothing, "train"
+        )
     assert list(tmp_path.iterdir()) == [file]
 
 
 def test_a_folder_with_files_is_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(ConfigError, match="must be a new or empty folder"):
-        experiment.start(typed(f"output={tmp_path}"), make_nothing)
+        experiment.start(typed(f"output={tmp_path}"), make_nothing, "train")
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 

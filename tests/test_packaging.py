@@ -77,15 +77,16 @@ def test_marl_lanes_is_the_only_package_in_the_wheel(names):
     assert len(tops) == 2
 
 
-def test_the_wheel_holds_every_module_scenario_and_the_type_marker(names):
+def test_the_wheel_holds_every_file_of_the_package_and_the_scenarios(names):
     inside = {
         path.relative_to(ROOT).as_posix()
-        for path in (ROOT / "marl_lanes").rglob("*.py")
-        if "__pycache__" not in path.parts
+        for path in (ROOT / "marl_lanes").rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
     }
+    assert {"marl_lanes/py.typed", "marl_lanes/report/report.html.jinja"} < inside
     scenarios = {f"marl_lanes/scenarios/{path.name}" for path in ROOT.glob("scenarios/*.yaml")}
     assert len(scenarios) >= 7
-    expected = inside | scenarios | {"marl_lanes/scenarios/__init__.py", "marl_lanes/py.typed"}
+    expected = inside | scenarios | {"marl_lanes/scenarios/__init__.py"}
     assert {name for name in names if name.startswith("marl_lanes/")} == expected
 
 

@@ -32,6 +32,7 @@ def maneuver(rows, outcome=Outcome.MISSED, **changes):
     values = {
         "env": 0,
         "command": 0,
+        "vehicle": 7,
         "outcome": outcome,
         "num_aborts": 0,
         "born_step": 0,

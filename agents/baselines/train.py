@@ -20,7 +20,7 @@ from marl_lanes.experiment import run, start
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.td3 import TD3, TD3Config
 from marl_lanes.training.checkpoint import make_actor_network
-from marl_lanes.training.command_line import read_command_line
+from marl_lanes.training.command_line import describe_command, read_command_line
 from marl_lanes.training.config import (
     ChangersConfig,
     DistributedCollectorConfig,
@@ -28,6 +28,7 @@ from marl_lanes.training.config import (
 )
 
 FOLDER = Path(__file__).parent
+PROGRAM = "agents/baselines/train.py"
 
 
 class TD3TrainingConfig(TD3Config, ChangersConfig):
@@ -72,7 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     baseline = BASELINES[options.algorithm]
     try:
         config = read(options.algorithm, options.overrides)
-        learner, scenario = start(config, partial(baseline.make, config))
+        command = describe_command(PROGRAM, arguments)
+        learner, scenario = start(config, partial(baseline.make, config), command)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
     run(learner, config, scenario)

@@ -18,17 +18,19 @@ from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
 from marl_lanes.experiment import run, start
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
-from marl_lanes.training.command_line import Fields, read_command_line
+from marl_lanes.training.command_line import Fields, describe_command, read_command_line
 from marl_lanes.training.config import ConfigError, read_changers_config
 
 FOLDER = Path(__file__).parent
+PROGRAM = "agents/naf/train.py"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, evaluate, report."""
     try:
         config = read(arguments)
-        learner, scenario = start(config, partial(make_algorithm, config))
+        command = describe_command(PROGRAM, arguments)
+        learner, scenario = start(config, partial(make_algorithm, config), command)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
     run(learner, config, scenario)

@@ -86,23 +86,45 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, help="also write the results to this file")
 
 
-def check_outputs(json: Path | None, figure: Path | None) -> None:
+def add_figure(parser: argparse.ArgumentParser, drawn: str, *, is_required: bool) -> None:
+    """Add --figure, which may be given for each format; its value is ``figures``.
+
+    Args:
+        parser: the command's parser.
+        drawn: what is drawn, for the help.
+        is_required: whether one must be given.
+    """
+    parser.add_argument(
+        "--figure",
+        type=Path,
+        action="append",
+        required=is_required,
+        default=None if is_required else [],
+        dest="figures",
+        metavar="FILE",
+        help=f"draw {drawn} to this file, in the format of its ending; may be given more than once",
+    )
+
+
+def check_outputs(json: Path | None, figures: Sequence[Path] = ()) -> None:
     """Reject outputs that cannot be written, before anything is computed.
 
     Args:
         json: the value of --json.
-        figure: the value of --figure.
+        figures: the values of --figure.
 
     Raises:
         ValueError: a file is a folder, no figure can have its name, or matplotlib is missing.
     """
     if json is not None and json.is_dir():
         raise ValueError(f"--json {json}: must be a file, not a folder")
-    if figure is not None:
-        if find_spec("matplotlib") is None:
-            raise ValueError("--figure: needs matplotlib: pip install 'marl-lanes[train]'")
-        from marl_lanes.evaluation.figures import check_figure
+    if not figures:
+        return
+    if find_spec("matplotlib") is None:
+        raise ValueError("--figure: needs matplotlib: pip install 'marl-lanes[train]'")
+    from marl_lanes.evaluation.figures import check_figure
 
+    for figure in figures:
         check_figure(figure)
 
 

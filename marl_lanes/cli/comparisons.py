@@ -5,6 +5,7 @@ from pathlib import Path
 
 from marl_lanes.cli.arguments import (
     Commands,
+    add_figure,
     add_followers,
     add_import,
     add_json,
@@ -70,7 +71,7 @@ def _add_crossplay(commands: Commands) -> None:
     add_traffic(crossplay, num_maneuvers=1000)
     add_import(crossplay)
     add_json(crossplay)
-    crossplay.add_argument("--figure", type=Path, help="draw heat maps to this file")
+    add_figure(crossplay, "heat maps", is_required=False)
     crossplay.set_defaults(run=_crossplay)
 
 
@@ -93,7 +94,7 @@ def _add_comparison_of_followers(commands: Commands) -> None:
         help="index of the maneuver to draw, from 0 (default: the first that engages with a "
         "follower near)",
     )
-    followers.add_argument("--figure", type=Path, required=True, help="draw to this file")
+    add_figure(followers, "gap and acceleration", is_required=True)
     followers.set_defaults(run=_compare_followers)
 
 
@@ -104,7 +105,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.tables import format_summary
     from marl_lanes.files import write_json
 
-    check_outputs(options.json, None)
+    check_outputs(options.json)
     check_trajectories(options.trajectories)
     import_modules(options.modules)
     scenario = load_scenario(options.scenario)
@@ -134,7 +135,7 @@ def _crossplay(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.tables import format_crossplay
     from marl_lanes.files import write_json
 
-    check_outputs(options.json, options.figure)
+    check_outputs(options.json, options.figures)
     import_modules(options.modules)
     sources = label_changers(options.changers)
     changers = {}
@@ -149,10 +150,10 @@ def _crossplay(options: argparse.Namespace) -> None:
     if options.json is not None:
         policies = {label: name for label, (name, _) in sources.items()}
         write_json(options.json, {**result, "policies": policies})
-    if options.figure is not None:
+    if options.figures:
         from marl_lanes.evaluation.figures import draw_crossplay
 
-        draw_crossplay(options.figure, result)
+        draw_crossplay(options.figures, result)
 
 
 def _compare_followers(options: argparse.Namespace) -> None:
@@ -160,7 +161,7 @@ def _compare_followers(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.tables import format_gaps
     from marl_lanes.files import write_json
 
-    check_outputs(options.json, options.figure)
+    check_outputs(options.json, options.figures)
     import_modules(options.modules)
     from marl_lanes.evaluation.figures import draw_gaps
 
@@ -182,4 +183,4 @@ def _compare_followers(options: argparse.Namespace) -> None:
     print(format_gaps(result))
     if options.json is not None:
         write_json(options.json, {"policy": name, **result})
-    draw_gaps(options.figure, result)
+    draw_gaps(options.figures, result)

@@ -4,9 +4,9 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from marl_lanes.cli import comparisons, record, replay, scenarios
+from marl_lanes.cli import comparisons, record, replay, report, scenarios
 
-COMMANDS = (scenarios, comparisons, record, replay)
+COMMANDS = (scenarios, comparisons, record, replay, report)
 """The modules of commands, in the order of the help; each has ``add(commands)``."""
 
 

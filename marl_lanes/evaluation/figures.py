@@ -7,17 +7,27 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
 from numpy.typing import NDArray
 
+from marl_lanes.colours import LIGHT
 from marl_lanes.evaluation.rollout import Maneuver
+from marl_lanes.evaluation.style import (
+    BLUE,
+    FORMATS,
+    GREY,
+    HEAT,
+    LINE_STYLES,
+    RED,
+    WIDTH,
+    styled,
+    write_figure,
+)
 from marl_lanes.evaluation.tables import format_estimate
-from marl_lanes.files import write_atomically
 from marl_lanes.scenario import Scenario
 
 RUNNING_MEAN = 200
 """Maneuvers in the running mean of the returns."""
-
-_BLUE, _RED, _GREY = "#1f5fa8", "#c23b22", "#9aa0a6"
 
 _PANELS: tuple[tuple[str, str, float, int, list[float]], ...] = (
     ("success_rate", "success [%]", 100.0, 1, [90.0, 100.0]),
@@ -28,79 +38,107 @@ _PANELS: tuple[tuple[str, str, float, int, list[float]], ...] = (
 """Key, title, factor, decimals of a cross-play's panels; values that the colour scale includes."""
 
 
+@styled
 def draw_training(run: Path, pretraining_transitions: int, optimal_return: float | None) -> None:
     """Draw loss, return per maneuver, and mean return and success rates of each saved model.
 
     Args:
-        run: the run folder; the figures are written to its ``figures``.
+        run: the run folder; its ``figures`` gets each figure in every one of FORMATS.
         pretraining_transitions: end of stage one, 0 if there is one stage.
         optimal_return: mean return of the optimum, drawn as a line; None for no line.
     """
+    _draw_loss(run, pretraining_transitions)
+    _draw_returns(run, pretraining_transitions, optimal_return)
+    _draw_saved_models(run, pretraining_transitions, optimal_return)
+
+
+def _draw_loss(run: Path, pretraining_transitions: int) -> None:
     metrics = _read(run / "metrics.csv")
-    figure, axes = _new_figure("Loss", "transitions", "mean squared error")
+    figure, (axes,) = _new_figure("Loss of each batch of updates", 1)
     has_loss = np.isfinite(metrics["loss"])
-    axes.plot(metrics["transitions"][has_loss], metrics["loss"][has_loss], color=_BLUE, lw=0.8)
+    axes.plot(metrics["transitions"][has_loss], metrics["loss"][has_loss], color=BLUE, lw=1.0)
     axes.set_yscale("log")
-    _mark_stage(axes, pretraining_transitions)
-    _save(figure, run / "figures" / "loss.png")
+    axes.set_ylabel("mean squared error [1]")
+    _mark_stage((axes,), pretraining_transitions)
+    _write_formats(figure, run / "figures" / "loss")
 
+
+def _draw_returns(run: Path, pretraining_transitions: int, optimal_return: float | None) -> None:
     maneuvers = _read(run / "maneuvers.csv")
-    figure, axes = _new_figure("Total reward of each maneuver", "transitions", "return R")
+    transitions, returns = maneuvers["transitions"], maneuvers["return"]
+    figure, (axes,) = _new_figure("Total reward of each maneuver, with noise", 1)
+    # Many points are an image also in an SVG: as paths they would make it large and slow.
     axes.plot(
-        maneuvers["transitions"], maneuvers["return"], ".", ms=1.5, color=_GREY, label="maneuver"
+        transitions, returns, ".", ms=1.5, color=GREY, alpha=0.6, label="maneuver", rasterized=True
     )
-    window = min(RUNNING_MEAN, maneuvers["return"].size)
+    window = min(RUNNING_MEAN, returns.size)
     if window:
-        mean = np.convolve(maneuvers["return"], np.full(window, 1.0 / window), mode="valid")
+        mean = np.convolve(returns, np.full(window, 1.0 / window), mode="valid")
+        # A single mean would be a line without length.
+        look = "-" if mean.size > 1 else "o"
         label = f"running mean of {window}"
-        axes.plot(maneuvers["transitions"][window - 1 :], mean, color=_BLUE, lw=1.2, label=label)
-        axes.set_ylim(float(np.quantile(maneuvers["return"], 0.002)) - 0.5, 0.0)
+        axes.plot(transitions[window - 1 :], mean, look, color=BLUE, label=label)
+        axes.set_ylim(float(np.quantile(returns, 0.002)) - 0.5, 0.0)
+    axes.set_ylabel("return R [1]")
     _mark_optimum(axes, optimal_return)
-    _mark_stage(axes, pretraining_transitions)
-    axes.legend(loc="lower right")
-    _save(figure, run / "figures" / "returns.png")
-
-    models = _read(run / "evaluations.csv")
-    figure = Figure(figsize=(6.4, 6.0), layout="constrained")
-    axes, shares = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    axes.set_title("Mean return of each saved model over its completed maneuvers")
-    axes.set_ylabel("mean return")
-    axes.plot(models["transitions"], models["mean_return"], "o-", color=_BLUE, label="saved model")
-    _mark_optimum(axes, optimal_return)
-    axes.legend(loc="lower right")
-    for key, style, label in (
-        ("success_rate", "o-", "success"),
-        ("completion_rate", "x:", "completed"),
-    ):
-        shares.plot(models["transitions"], 100.0 * models[key], style, color=_BLUE, label=label)
-    shares.set_ylim(-5.0, 105.0)
-    shares.set_xlabel("transitions")
-    shares.set_ylabel("maneuvers [%]")
-    shares.legend(loc="lower right")
-    for panel in (axes, shares):
-        _mark_stage(panel, pretraining_transitions)
-    _save(figure, run / "figures" / "saved_models.png")
+    # The legend is below.
+    _mark_stage((axes,), pretraining_transitions, height=1.0)
+    axes.legend(loc="lower right", markerscale=4.0)
+    _write_formats(figure, run / "figures" / "returns")
 
 
-def draw_maneuver(
-    path: Path, first: Maneuver, last: Maneuver, labels: tuple[str, str], scenario: Scenario
+def _draw_saved_models(
+    run: Path, pretraining_transitions: int, optimal_return: float | None
 ) -> None:
-    """Draw yaw acceleration and yaw rate of two models in the same maneuver (Figure 8)."""
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    panels: Any = figure.subplots(1, 2)
-    for axes, name, unit in zip(
-        panels, ("yaw_acceleration", "yaw_rate"), ("rad/s^2", "rad/s"), strict=True
+    models = _read(run / "evaluations.csv")
+    title = "Mean return of each saved model over its completed maneuvers"
+    figure, (axes, shares) = _new_figure(title, 2, height_ratios=(2, 1))
+    axes.plot(models["transitions"], models["mean_return"], "o-", color=BLUE, label="saved model")
+    axes.set_ylabel("mean return [1]")
+    _mark_optimum(axes, optimal_return)
+    axes.legend()
+    for key, look, color, label in (
+        ("success_rate", "o-", BLUE, "success"),
+        ("completion_rate", "x:", RED, "completed"),
     ):
-        for maneuver, label, color in ((first, labels[0], _RED), (last, labels[1], _BLUE)):
+        shares.plot(models["transitions"], 100.0 * models[key], look, color=color, label=label)
+    shares.set_ylim(-5.0, 105.0)
+    shares.set_ylabel("maneuvers [%]")
+    shares.legend()
+    _mark_stage((axes, shares), pretraining_transitions)
+    _write_formats(figure, run / "figures" / "saved_models")
+
+
+@styled
+def draw_maneuver(
+    stem: Path, first: Maneuver, last: Maneuver, labels: tuple[str, str], scenario: Scenario
+) -> None:
+    """Draw yaw acceleration and yaw rate of two models in the same maneuver (Figure 8).
+
+    Args:
+        stem: path of the figure without its ending; every one of FORMATS is written.
+        first: maneuver of the one model.
+        last: the same maneuver of the other model.
+        labels: names of both.
+        scenario: scenario of the maneuver.
+    """
+    title = "The same maneuver with the first saved and the final model"
+    figure, panels = _new_figure(title, 2)
+    for axes, name, unit in zip(
+        panels, ("yaw_acceleration", "yaw_rate"), ("rad/s²", "rad/s"), strict=True
+    ):
+        for maneuver, label, color, look in (
+            (first, labels[0], RED, LINE_STYLES[1]),
+            (last, labels[1], BLUE, LINE_STYLES[0]),
+        ):
             values = maneuver.trace[name]
             time = np.arange(1, values.size + 1) * scenario.time_step
-            axes.plot(time, values, color=color, label=label)
-        axes.axhline(0.0, color=_GREY, lw=0.6)
-        axes.set_xlabel("time since engagement [s]")
+            axes.plot(time, values, look, color=color, label=label)
+        axes.axhline(0.0, color=GREY, ls="-", lw=0.6)
         axes.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
     panels[0].legend()
-    figure.suptitle("The same maneuver with the first and the last saved model")
-    _save(figure, path)
+    panels[1].set_xlabel("time since engagement [s]")
+    _write_formats(figure, stem)
 
 
 def check_figure(path: Path) -> None:
@@ -110,11 +148,12 @@ def check_figure(path: Path) -> None:
         raise ValueError(f"figure {path}: must be a file that ends in one of {', '.join(formats)}")
 
 
-def draw_crossplay(path: Path, result: Mapping[str, Any]) -> None:
+@styled
+def draw_crossplay(paths: Sequence[Path], result: Mapping[str, Any]) -> None:
     """Draw heat maps, changers by followers, with value and interval in every cell.
 
     Args:
-        path: of the figure.
+        paths: where the figure is written, in the format of each ending.
         result: of ``crossplay``.
     """
     changers, followers = list(result["changers"]), list(result["followers"])
@@ -126,9 +165,8 @@ def draw_crossplay(path: Path, result: Mapping[str, Any]) -> None:
         table = [[pairs[changer, label][key] for label in followers] for changer in changers]
         values = factor * np.asarray([[cell["value"] for cell in row] for row in table], np.float64)
         ends = [*values[np.isfinite(values)].tolist(), *span] or [0.0]
-        image = axes.imshow(
-            values, cmap="Blues", vmin=min(ends), vmax=max(ends), alpha=0.6, aspect="auto"
-        )
+        image = axes.imshow(values, cmap=HEAT, vmin=min(ends), vmax=max(ends), aspect="auto")
+        axes.grid(visible=False)
         figure.colorbar(image, ax=axes)
         for row, column in np.ndindex(values.shape):
             text = format_estimate(table[row][column], factor, decimals).replace(" [", "\n[")
@@ -136,22 +174,25 @@ def draw_crossplay(path: Path, result: Mapping[str, Any]) -> None:
         axes.set_title(title)
         axes.set_xticks(range(len(followers)), followers, rotation=20.0, ha="right")
         axes.set_yticks(range(len(changers)), changers)
+        axes.set_xlabel("followers")
+        axes.set_ylabel("changer")
     figure.suptitle(
         f"{result['num_maneuvers']} maneuvers per cell, "
         f"{100.0 * result['confidence']:g} % intervals"
     )
-    _save(figure, path)
+    write_figure(figure, *paths)
 
 
-def draw_gaps(path: Path, result: Mapping[str, Any]) -> None:
+@styled
+def draw_gaps(paths: Sequence[Path], result: Mapping[str, Any]) -> None:
     """Draw the gap and the follower's acceleration in one maneuver with every kind of follower.
 
     Args:
-        path: of the figure.
+        paths: where the figure is written, in the format of each ending.
         result: of ``compare_followers``.
     """
-    figure = Figure(figsize=(7.2, 6.0), layout="constrained")
-    panels: Any = figure.subplots(2, 1, sharex=True)
+    title = f"Maneuver {result['maneuver']} of seed {result['seed']} on {result['scenario']}"
+    figure, panels = _new_figure(title, 2)
     for label, found in result["followers"].items():
         shown = found["shown"]
         time = np.asarray(shown["time"])
@@ -161,16 +202,13 @@ def draw_gaps(path: Path, result: Mapping[str, Any]) -> None:
             for moment, mark in (("entry_time", "o"), ("abort_time", "x")):
                 if shown[moment] is not None:
                     at = [int(np.abs(time - shown[moment]).argmin())]
-                    axes.plot(time[at], values[at], mark, color=line.get_color(), ms=8.0)
+                    axes.plot(time[at], values[at], mark, color=line.get_color(), ms=8.0, mew=2.0)
     panels[0].set_ylabel("gap to the follower [m]")
     panels[0].legend(title="o: in the lane, x: aborts")
-    panels[1].axhline(0.0, color=_GREY, lw=0.6)
-    panels[1].set_ylabel("follower's acceleration [m/s^2]")
+    panels[1].axhline(0.0, color=GREY, ls="-", lw=0.6)
+    panels[1].set_ylabel("follower's acceleration [m/s²]")
     panels[1].set_xlabel("time since engagement [s]")
-    figure.suptitle(
-        f"Maneuver {result['maneuver']} of seed {result['seed']} on {result['scenario']}"
-    )
-    _save(figure, path)
+    write_figure(figure, *paths)
 
 
 def _read(path: Path) -> dict[str, NDArray[np.float64]]:
@@ -190,26 +228,41 @@ def _numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     return np.asarray([number(cell) for cell in cells], np.float64)
 
 
-def _new_figure(title: str, x_label: str, y_label: str) -> tuple[Figure, Any]:
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.subplots()
-    axes.set_title(title)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    return figure, axes
+def _new_figure(title: str, num_panels: int, **options: Any) -> tuple[Figure, Any]:
+    """A figure with panels above one another, which share the axis of x.
+
+    The title is that of the first. The axis of x counts transitions unless it gets another label.
+    """
+    height = WIDTH * (0.35 + 0.3 * num_panels)
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    panels = figure.subplots(num_panels, 1, sharex=True, squeeze=False, **options)[:, 0]
+    panels[0].set_title(title)
+    panels[-1].set_xlabel("transitions [1]")
+    panels[-1].xaxis.set_major_formatter(StrMethodFormatter("{x:,.10g}"))
+    return figure, panels
 
 
-def _mark_stage(axes: Any, pretraining_transitions: int) -> None:
-    if pretraining_transitions:
-        axes.axvline(pretraining_transitions, color=_GREY, ls=":", lw=1.0)
+def _mark_stage(panels: Sequence[Any], pretraining_transitions: int, height: float = 0.0) -> None:
+    """A dotted line at the end of stage one, with its name in the first panel, at that height."""
+    if not pretraining_transitions:
+        return
+    for axes in panels:
+        axes.axvline(pretraining_transitions, color=GREY, ls=":", lw=1.2)
+    panels[0].annotate(
+        "end of stage one",
+        (pretraining_transitions, height),
+        xycoords=("data", "axes fraction"),
+        xytext=(4.0, 4.0 - 16.0 * height),
+        textcoords="offset points",
+        fontsize="small",
+        bbox={"facecolor": LIGHT.background, "edgecolor": "none", "pad": 1.0},
+    )
 
 
 def _mark_optimum(axes: Any, optimal_return: float | None) -> None:
     if optimal_return is not None:
-        axes.axhline(optimal_return, color=_RED, ls="--", lw=1.0, label="optimum")
+        axes.axhline(optimal_return, color=RED, ls="--", label="optimum")
 
 
-def _save(figure: Figure, path: Path) -> None:
-    """Write the figure completely or not at all."""
-    kind = path.suffix[1:]
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=120, format=kind))
+def _write_formats(figure: Figure, stem: Path) -> None:
+    write_figure(figure, *(stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS))

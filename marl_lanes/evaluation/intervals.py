@@ -70,12 +70,55 @@ def estimate_mean(
     if is_rate and value in {0.0, 1.0}:
         exact = stats.binomtest(int(sample.sum()), sample.size).proportion_ci(confidence)
         return Estimate(value, float(exact.low), float(exact.high))
+    counts = np.ones(sample.size)
+    return _estimate(value, sample, counts, labels, confidence=confidence, seed=seed)
+
+
+def estimate_ratio(
+    numerators: ArrayLike,
+    denominators: ArrayLike,
+    groups: ArrayLike,
+    *,
+    confidence: float = CONFIDENCE,
+    seed: int = 0,
+) -> Estimate:
+    """Sum of the numerators divided by the sum of the denominators, with an interval.
+
+    The interval is that of ``estimate_mean``: whole groups are drawn. Maneuvers of which one of the
+    two is not defined are left out.
+
+    Args:
+        numerators: (N,) one per maneuver.
+        denominators: (N,) all of one sign.
+        groups: (N,) the road of each maneuver.
+        confidence: coverage, between 0 and 1.
+        seed: of the resamples.
+    """
+    upper, lower = np.asarray(numerators, np.float64), np.asarray(denominators, np.float64)
+    is_defined = np.isfinite(upper) & np.isfinite(lower)
+    upper, lower, labels = upper[is_defined], lower[is_defined], np.asarray(groups)[is_defined]
+    if not upper.size or not lower.sum():
+        return Estimate(None, None, None)
+    value = float(upper.sum() / lower.sum())
+    return _estimate(value, upper, lower, labels, confidence=confidence, seed=seed)
+
+
+def _estimate(
+    value: float,
+    upper: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    labels: NDArray[Any],
+    *,
+    confidence: float,
+    seed: int,
+) -> Estimate:
+    """The value with the bootstrap interval of sum(upper)/sum(lower) over whole groups."""
     _, group = np.unique(labels, return_inverse=True)
-    sums, counts = np.bincount(group, sample), np.bincount(group).astype(np.float64)
-    if sums.size < 2:
+    sums = np.bincount(group, upper), np.bincount(group, lower)
+    if sums[0].size < 2:
         return Estimate(value, None, None)
     interval = stats.bootstrap(
-        (sums, counts),
+        sums,
         _ratio_of_sums,
         paired=True,
         vectorized=True,
@@ -88,5 +131,5 @@ def estimate_mean(
     return Estimate(value, float(interval.low), float(interval.high))
 
 
-def _ratio_of_sums(sums: NDArray[Any], counts: NDArray[Any], axis: int = -1) -> NDArray[Any]:
-    return np.asarray(sums.sum(axis=axis) / counts.sum(axis=axis))
+def _ratio_of_sums(upper: NDArray[Any], lower: NDArray[Any], axis: int = -1) -> NDArray[Any]:
+    return np.asarray(upper.sum(axis=axis) / lower.sum(axis=axis))

@@ -217,6 +217,24 @@ def evaluate(
             minimises every cost of the scenario's reward.
         progress: called after each maneuver with the number measured so far.
     """
+    measured, no_optimum = measure_each(
+        maneuvers, scenario, with_optimum=with_optimum, progress=progress
+    )
+    return summarise(measured, no_optimum=no_optimum)
+
+
+def measure_each(
+    maneuvers: Sequence[Maneuver],
+    scenario: Scenario,
+    *,
+    with_optimum: bool = True,
+    progress: Callable[[int], object] | None = None,
+) -> tuple[list[ManeuverMetrics], str | None]:
+    """The metrics of each maneuver; arguments as of ``evaluate``.
+
+    Returns:
+        the metrics, in the order of the maneuvers; and why they have no optimum, None if they have.
+    """
     unminimised = find_unminimised(scenario)
     no_optimum = None if with_optimum else "the optimum was not computed"
     if unminimised:
@@ -226,4 +244,4 @@ def evaluate(
         measured.append(measure(maneuver, scenario, with_optimum=no_optimum is None))
         if progress is not None:
             progress(count)
-    return summarise(measured, no_optimum=no_optimum)
+    return measured, no_optimum

@@ -89,6 +89,8 @@ class Maneuver:
 
     env: int
     command: int
+    vehicle: int
+    """Serial number of the commanded vehicle on its road."""
     outcome: Outcome
     num_aborts: int
     born_step: int
@@ -149,6 +151,8 @@ class _Recorder:
         self._pending = rows, envs, slots
         self._without = [found[envs, slots] for found in without]
         self._vehicles = agents["vehicle"].copy(), agents["target_follower"].copy()
+        # A vehicle's number is gone in the step that removes the vehicle.
+        self._ids = simulator.vehicles["id"].copy()
 
     def after(self) -> None:
         """Complete the rows, and record the commands that ended."""
@@ -204,6 +208,7 @@ class _Recorder:
             self.maneuvers[env, command] = Maneuver(
                 env=env,
                 command=command,
+                vehicle=int(self._ids[env, agent["vehicle"]]),
                 outcome=outcome,
                 num_aborts=int(agent["num_aborts"]),
                 born_step=born,

@@ -1,6 +1,7 @@
 """Command line of a training program: hydra composes it with the program's YAML files."""
 
 import argparse
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -70,6 +71,17 @@ def read_command_line(
         sys.stdout.write(yaml.safe_dump(fields, sort_keys=False))
         sys.exit(0)
     return fields
+
+
+def describe_command(program: str, arguments: Sequence[str] | None = None) -> str:
+    """The command that starts a program of the repository as it was started, for a shell.
+
+    Args:
+        program: its path in the repository.
+        arguments: the command line; None: that of this process.
+    """
+    given = sys.argv[1:] if arguments is None else arguments
+    return shlex.join(["python", program, *given])
 
 
 def compose_fields(

@@ -8,7 +8,7 @@ import torch
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from marl_lanes.files import write_atomically
+from marl_lanes.files import write_text
 from marl_lanes.scenario.fields import Count, NonNegative, Positive, Real, Section
 from marl_lanes.scenario.messages import explain
 
@@ -303,4 +303,4 @@ def read_changers_config(kind: type[ChangersKind], fields: Mapping[str, Any]) ->
 def write_config(path: Path, config: ProgramConfig) -> None:
     """Write the whole configuration as YAML."""
     text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)

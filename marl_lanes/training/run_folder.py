@@ -28,6 +28,15 @@ TIMES_FILE = "training.json"
 EVALUATIONS_FILE = "evaluations.csv"
 """File name of the saved models' metrics."""
 
+EVALUATION_FILE = "evaluation.json"
+"""File name of the final evaluation."""
+
+FINAL_MANEUVERS_FILE = "final_maneuvers.csv"
+"""File name of the maneuvers of the final evaluation."""
+
+COMMAND_FILE = "command.txt"
+"""File name of the command line that began the run."""
+
 CHOICE_FILE = "choice.json"
 """File name of what the saved models are worth by the criterion, and of the best."""
 

@@ -84,7 +84,7 @@ def test_a_run_is_reported_and_its_policy_evaluated(whole, monkeypatch, capsys):
     result = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
     assert result["num_maneuvers"] == 2
     assert "success_rate" in out
-    assert len(list((run / "figures").iterdir())) == 4
+    assert len(list((run / "figures").iterdir())) == 8
     with (run / "metrics.csv").open(newline="", encoding="utf-8") as file:
         metrics = list(csv.DictReader(file))
     assert float(metrics[-1]["loss"]) > 0.0

@@ -3,9 +3,11 @@
 import csv
 import json
 import re
+import shlex
 import signal
 import time
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +47,11 @@ collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
 )
 PNG = b"\x89PNG\r\n\x1a\n"
-FIGURES = {"loss.png", "returns.png", "saved_models.png", "first_and_last.png"}
+FIGURES = {
+    f"{name}.{kind}"
+    for name in ("loss", "returns", "saved_models", "first_and_last")
+    for kind in ("svg", "png")
+}
 
 
 def rows(path):
@@ -76,7 +82,10 @@ def test_the_run_folder_is_complete(whole):
         "maneuvers.csv",
         "evaluations.csv",
         "evaluation.json",
+        "final_maneuvers.csv",
         "training.json",
+        "command.txt",
+        "report.html",
         "resume.pt",
         "checkpoints",
         "trajectories",
@@ -86,7 +95,8 @@ def test_the_run_folder_is_complete(whole):
     }
     assert {path.name for path in (run / "figures").iterdir()} == FIGURES
     for name in FIGURES:
-        assert (run / "figures" / name).read_bytes().startswith(PNG), name
+        start = PNG if name.endswith(".png") else b"<?xml"
+        assert (run / "figures" / name).read_bytes().startswith(start), name
         assert (run / "figures" / name).stat().st_size > 5000, name
     events = list((run / "tensorboard").glob("events.out.tfevents.*"))
     assert events
@@ -164,12 +174,31 @@ def test_the_evaluation(whole):
     wanted |= {"mean_return", "mean_return_yaw_acceleration", "mean_return_yaw_rate"}
     wanted |= {"mean_return_deviation", "mean_optimal_return", "cost_ratio", "mean_duration"}
     assert wanted < set(result)
-    assert set(result) == {"scenario", "policy", "seed", *all_keys()}
+    added = {"scenario", "policy", "seed", "confidence", "intervals", "versions"}
+    assert set(result) == {*added, *all_keys()}
+    assert result["intervals"]["success_rate"]["value"] == result["success_rate"]
+    assert result["versions"]["torch"] == version("torch")
     for key in wanted:
         assert key in out
     seconds = json.loads((run / "training.json").read_text(encoding="utf-8"))
     assert all(value >= 0.0 for value in seconds.values())
     assert len(seconds) >= 5
+
+
+def test_the_report_and_what_it_stands_on(whole):
+    run, _ = whole
+    result = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
+    maneuvers = rows(run / "final_maneuvers.csv")
+    assert len(maneuvers) == 3
+    successes = [int(row["is_success"]) for row in maneuvers]
+    assert np.mean(successes) == result["success_rate"]
+    assert [row["failure"] == "" for row in maneuvers] == [success == 1 for success in successes]
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert f"{sum(successes)} of 3 lane changes succeeded" in page
+    assert page.count("<svg") == 4
+    assert page.count("evaluation.final_num_maneuvers=3") == 1
+    command = (run / "command.txt").read_text(encoding="utf-8")
+    assert shlex.split(command) == ["python", "agents/naf/train.py", *TINY, "output=run"]
 
 
 def all_keys():
@@ -222,7 +251,9 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_pa
     assert_same_weights(weights(reference), weights(run))
     recorded = {f"trajectories/{path.name}" for path in (reference / "trajectories").iterdir()}
     assert len(recorded) >= 3
-    for name in ("metrics.csv", "maneuvers.csv", "evaluations.csv", "evaluation.json", *recorded):
+    tables = ("metrics.csv", "maneuvers.csv", "evaluations.csv", "final_maneuvers.csv")
+    drawn = ("figures/loss.svg", "figures/saved_models.png")
+    for name in (*tables, *drawn, "evaluation.json", "command.txt", *recorded):
         assert (run / name).read_bytes() == (reference / name).read_bytes(), name
     assert {path.name for path in (run / "figures").iterdir()} == FIGURES
 
@@ -271,7 +302,7 @@ def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, capsys):
 
 def begin(program, config):
     """A learner, as the program makes it."""
-    return experiment.start(config, partial(program.make_algorithm, config))[0]
+    return experiment.start(config, partial(program.make_algorithm, config), "train")[0]
 
 
 def read(program, *options):

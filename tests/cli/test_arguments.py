@@ -50,14 +50,14 @@ def test_another_module_is_refused(name, message):
 
 
 def test_outputs_that_cannot_be_written_are_refused(tmp_path):
-    check_outputs(None, None)
-    check_outputs(tmp_path / "new" / "x.json", tmp_path / "new" / "x.png")
+    check_outputs(None)
+    check_outputs(tmp_path / "new" / "x.json", [tmp_path / "new" / "x.png", tmp_path / "x.svg"])
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ValueError, match=r"^--json .*: must be a file, not a folder$"):
-        check_outputs(tmp_path, None)
+        check_outputs(tmp_path)
     for figure in (tmp_path, tmp_path / "x.xyz"):
         with pytest.raises(ValueError, match="must be a file that ends in"):
-            check_outputs(None, figure)
+            check_outputs(None, [tmp_path / "x.png", figure])
 
 
 def test_a_figure_needs_matplotlib(capsys, folder, monkeypatch):

@@ -110,11 +110,12 @@ def test_a_changer_may_bring_its_scenario(capsys, folder):
 @pytest.mark.slow
 def test_the_gap_under_every_follower_is_printed_written_and_drawn(capsys, folder):
     before = files(folder)
-    outputs = ["--json", "gaps.json", "--figure", "gaps.png", "--scenario", "quick.yaml"]
+    drawn = ["--figure", "gaps.png", "--figure", "gaps.svg"]
+    outputs = ["--json", "gaps.json", *drawn, "--scenario", "quick.yaml"]
     assert main([*FOLLOWERS, *outputs]) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
-    assert files(folder) - before == {"gaps.json", "gaps.png"}
+    assert files(folder) - before == {"gaps.json", "gaps.png", "gaps.svg"}
     result = json.loads((folder / "gaps.json").read_text(encoding="utf-8"))
     assert list(result["followers"]) == ["cooperative", "neutral", "adversarial"]
     assert (result["policy"], result["seed"]) == ("tuned-cascade", 1)

@@ -198,9 +198,9 @@ def test_several_vehicles_are_told_apart():
 def test_nobody_has_completed_without_an_aftermath():
     rows = np.zeros(0, TRACE)
     with pytest.raises(ValueError, match="aftermath = None: must be given"):
-        Maneuver(0, 0, Outcome.COMPLETED, 0, 0, 0.0, 1.0, False, -2.0, rows)
+        Maneuver(0, 0, 7, Outcome.COMPLETED, 0, 0, 0.0, 1.0, False, -2.0, rows)
     with pytest.raises(ValueError, match="is MISSED"):
-        Maneuver(0, 0, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows, Aftermath(0.0))
+        Maneuver(0, 0, 7, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows, Aftermath(0.0))
 
 
 def dive(observations):

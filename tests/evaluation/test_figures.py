@@ -1,5 +1,8 @@
 """The figures: their content, and that every file is an image."""
 
+import re
+
+import matplotlib
 import numpy as np
 import pytest
 
@@ -16,7 +19,7 @@ from marl_lanes.evaluation.rollout import TRACE, Maneuver
 from marl_lanes.traffic.machine.state import Outcome
 
 PNG = b"\x89PNG\r\n\x1a\n"
-NAMES = {"loss.png", "returns.png", "saved_models.png"}
+NAMES = {"loss", "returns", "saved_models"}
 HEADS = {
     "metrics.csv": "transitions,updates,stage,loss,sigma,num_ended,mean_return\n",
     "maneuvers.csv": "transitions,return,outcome\n",
@@ -39,14 +42,32 @@ def make_run(path, num_maneuvers=300, *, is_empty=False):
 @pytest.fixture
 def drawn(monkeypatch):
     """Figures by file name, as they are saved."""
-    kept, save = {}, figures._save
+    kept, write = {}, figures.write_figure
 
-    def keep(figure, path):
-        kept[path.name] = figure
-        save(figure, path)
+    def keep(figure, *paths):
+        kept.update({path.name: figure for path in paths})
+        write(figure, *paths)
 
-    monkeypatch.setattr(figures, "_save", keep)
+    monkeypatch.setattr(figures, "write_figure", keep)
     return kept
+
+
+def check_files(folder, names):
+    """Every figure is there as an SVG and as a PNG, and nothing else is."""
+    assert {path.name for path in folder.iterdir()} == {
+        f"{name}.{kind}" for name in names for kind in ("svg", "png")
+    }
+    for name in names:
+        assert (folder / f"{name}.png").read_bytes().startswith(PNG)
+        text = (folder / f"{name}.svg").read_text(encoding="utf-8")
+        assert "<svg" in text
+        assert text.endswith("</svg>\n")
+
+
+def labels(figure):
+    """Of the axes: a panel above another shares its axis of x."""
+    found = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel())]
+    return [text for text in found if text]
 
 
 def lines(figure, panel=0):
@@ -63,9 +84,7 @@ def stage_and_optimum(figure):
 
 def test_the_pictures_of_a_run(tmp_path, drawn):
     draw_training(make_run(tmp_path), 17, -2.25)
-    assert set(drawn) == NAMES
-    for name in NAMES:
-        assert (tmp_path / "figures" / name).read_bytes().startswith(PNG)
+    check_files(tmp_path / "figures", NAMES)
     loss = drawn["loss.png"].axes[0]
     assert loss.get_yscale() == "log"
     assert loss.get_lines()[0].get_xydata().tolist() == [[20.0, 0.5], [30.0, 0.25]]
@@ -86,6 +105,35 @@ def test_the_pictures_of_a_run(tmp_path, drawn):
     assert shares["completed"].get_ydata().tolist() == [0.0, 100.0]
 
 
+def test_every_axis_has_a_unit(tmp_path, drawn):
+    draw_training(make_run(tmp_path), 17, -2.25)
+    scenario = load_scenario("paper")
+    draw_maneuver(tmp_path / "both", maneuver(5, 0.25), maneuver(3, 0.5), ("a", "b"), scenario)
+    draw_gaps([tmp_path / "gaps.png"], gaps_result())
+    assert len(drawn) == 9
+    for name, figure in drawn.items():
+        assert len(labels(figure)) >= 2, name
+        for text in labels(figure):
+            assert re.search(r" \[(1|%|m|s|rad/s|rad/s²|m/s²)\]$", text), (name, text)
+
+
+def test_the_same_data_gives_the_same_bytes(tmp_path):
+    """Also for a user with settings of their own, and at another time."""
+    folders = [tmp_path / "one", tmp_path / "two"]
+    for folder, settings in zip(
+        folders, ({}, {"font.size": 30.0, "axes.grid": False}), strict=True
+    ):
+        folder.mkdir()
+        with matplotlib.rc_context(settings):
+            draw_training(make_run(folder), 17, -2.25)
+            draw_gaps([folder / "figures" / "gaps.svg"], gaps_result())
+    first, second = (
+        {path.name: path.read_bytes() for path in folder.glob("figures/*")} for folder in folders
+    )
+    assert len(first) == 7
+    assert first == second
+
+
 @pytest.mark.parametrize("num_maneuvers", [1, 7])
 def test_few_maneuvers_have_a_shorter_mean(tmp_path, drawn, num_maneuvers):
     draw_training(make_run(tmp_path, num_maneuvers), 0, None)
@@ -94,33 +142,31 @@ def test_few_maneuvers_have_a_shorter_mean(tmp_path, drawn, num_maneuvers):
     assert stage_and_optimum(drawn["returns.png"])[1] == []
 
 
-def test_a_run_without_a_row(tmp_path, drawn):
+def test_a_run_without_a_row(tmp_path):
     draw_training(make_run(tmp_path, is_empty=True), 5, None)
-    assert set(drawn) == NAMES
-    for name in NAMES:
-        assert (tmp_path / "figures" / name).read_bytes().startswith(PNG)
+    check_files(tmp_path / "figures", NAMES)
 
 
 def maneuver(count, rate):
     rows = np.zeros(count, TRACE)
     rows["yaw_rate"] = rate
     rows["yaw_acceleration"] = np.arange(count)
-    return Maneuver(0, 0, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows)
+    return Maneuver(0, 0, 7, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows)
 
 
 @pytest.mark.parametrize("count", [0, 5])
 def test_two_models_on_one_maneuver(tmp_path, drawn, count):
     scenario = load_scenario("paper", {"time_step": 0.2})
-    path = tmp_path / "deep" / "both.png"
-    draw_maneuver(path, maneuver(count, 0.25), maneuver(3, -0.5), ("early", "late"), scenario)
-    assert path.read_bytes().startswith(PNG)
+    stem = tmp_path / "deep" / "both"
+    draw_maneuver(stem, maneuver(count, 0.25), maneuver(3, -0.5), ("early", "late"), scenario)
+    check_files(stem.parent, ["both"])
     figure = drawn["both.png"]
     early, late = (lines(figure, panel=1)[name] for name in ("early", "late"))
     assert early.get_ydata().tolist() == [0.25] * count
     assert late.get_ydata().tolist() == [-0.5] * 3
     assert late.get_xdata() == pytest.approx([0.2, 0.4, 0.6])
     assert lines(figure)["late"].get_ydata().tolist() == [0.0, 1.0, 2.0]
-    assert "rad/s^2" in figure.axes[0].get_ylabel()
+    assert "rad/s²" in figure.axes[0].get_ylabel()
     assert "rad/s]" in figure.axes[1].get_ylabel()
 
 
@@ -153,11 +199,11 @@ def crossplay_result(time):
 @pytest.mark.parametrize("time", [statistics(5.5, 5.25, 6.0), statistics(None)])
 def test_a_crossplay_is_four_heat_maps(tmp_path, drawn, time):
     path = tmp_path / "deep" / "pairs.png"
-    draw_crossplay(path, crossplay_result(time))
+    draw_crossplay([path], crossplay_result(time))
     assert path.read_bytes().startswith(PNG)
     assert [file.name for file in path.parent.iterdir()] == ["pairs.png"]
-    panels = [axes for axes in drawn["pairs.png"].axes if axes.get_images() and axes.get_title()]
-    assert [axes.get_title() for axes in panels] == [
+    panels = [axes for axes in drawn["pairs.png"].axes if axes.get_images() and axes.get_xlabel()]
+    assert [axes.get_title("left") for axes in panels] == [
         "success [%]",
         "aborted or missed [%]",
         "collided [%]",
@@ -183,7 +229,7 @@ def test_a_crossplay_is_four_heat_maps(tmp_path, drawn, time):
     assert success.get_images()[0].get_clim() == (0.0, 100.0)
 
 
-def test_the_gap_under_every_kind_of_follower(tmp_path, drawn):
+def gaps_result():
     def found(offset, entry, abort):
         shown = {
             "time": [0.0, 0.1, 0.2, 0.3],
@@ -195,8 +241,11 @@ def test_the_gap_under_every_kind_of_follower(tmp_path, drawn):
         return {"shown": shown}
 
     followers = {"kind": found(0.5, 0.1, None), "rude": found(-0.5, None, 0.2)}
-    result = {"maneuver": 4, "seed": 2, "scenario": "dense", "followers": followers}
-    draw_gaps(tmp_path / "gaps.svg", result)
+    return {"maneuver": 4, "seed": 2, "scenario": "dense", "followers": followers}
+
+
+def test_the_gap_under_every_kind_of_follower(tmp_path, drawn):
+    draw_gaps([tmp_path / "gaps.svg"], gaps_result())
     assert b"<svg" in (tmp_path / "gaps.svg").read_bytes()
     gap, acceleration = drawn["gaps.svg"].axes
     assert lines(drawn["gaps.svg"])["kind"].get_ydata().tolist() == [20.0, 20.5, 21.0, 22.0]
@@ -210,7 +259,7 @@ def test_the_gap_under_every_kind_of_follower(tmp_path, drawn):
         assert marks["x"].get_color() == curves["rude"]
     assert [text.get_text() for text in gap.get_legend().get_texts()] == ["kind", "rude"]
     assert "[m]" in gap.get_ylabel()
-    assert "[m/s^2]" in acceleration.get_ylabel()
+    assert "[m/s²]" in acceleration.get_ylabel()
 
 
 def test_a_picture_is_whole_or_not_there(tmp_path, monkeypatch):
@@ -221,7 +270,7 @@ def test_a_picture_is_whole_or_not_there(tmp_path, monkeypatch):
     path = tmp_path / "pairs.png"
     path.write_bytes(b"before")
     with pytest.raises(OSError, match="disk full"):
-        draw_crossplay(path, crossplay_result(statistics(5.0)))
+        draw_crossplay([path], crossplay_result(statistics(5.0)))
     assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"before"]
 
 

@@ -45,7 +45,7 @@ def maneuver(steps, command=1, **columns):
     rows["follower_gap_before"] = rows["follower_gap"] - 1.0
     for name, values in columns.items():
         rows[name] = values
-    return Maneuver(3, command, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows)
+    return Maneuver(3, command, 7, Outcome.MISSED, 0, 0, 0.0, 1.0, False, -2.0, rows)
 
 
 def test_an_attempt_lasts_while_it_steers_before_one_and_the_same_vehicle():

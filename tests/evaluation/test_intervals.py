@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from marl_lanes.evaluation.intervals import Estimate, estimate_mean
+from marl_lanes.evaluation.intervals import Estimate, estimate_mean, estimate_ratio
 
 
 def width(found):
@@ -130,3 +130,27 @@ def test_a_seed_gives_the_same_interval():
 def test_refused_input(arguments, options, message):
     with pytest.raises(ValueError, match=message):
         estimate_mean(*arguments, **options)
+
+
+def test_a_ratio_by_hand():
+    """Two roads: of four equally likely resamples one is the first road twice, one the second."""
+    found = estimate_ratio([2.0, 4.0, 9.0], [1.0, 1.0, 3.0], [5, 5, 6])
+    assert found == Estimate(3.0, 3.0, 3.0)
+    found = estimate_ratio([-2.0, -4.0, -8.0], [-1.0, -1.0, -2.0], [5, 5, 6])
+    assert (found.value, found.low, found.high) == (3.5, 3.0, 4.0)
+
+
+def test_a_ratio_with_denominators_of_1_is_a_mean():
+    values = np.random.default_rng(1).normal(size=60)
+    roads = np.arange(60) // 6
+    assert estimate_ratio(values, np.ones(60), roads, seed=4) == estimate_mean(
+        values, roads, is_rate=False, seed=4
+    )
+
+
+def test_a_ratio_leaves_out_what_is_not_defined():
+    found = estimate_ratio([1.0, math.nan, 3.0, 5.0], [1.0, 1.0, 1.0, math.inf], [0, 0, 1, 1])
+    assert found == estimate_ratio([1.0, 3.0], [1.0, 1.0], [0, 1])
+    assert estimate_ratio([1.0], [math.nan], [0]) == Estimate(None, None, None)
+    assert estimate_ratio([], [], []) == Estimate(None, None, None)
+    assert estimate_ratio([1.0, 3.0], [1.0, 1.0], [2, 2]) == Estimate(2.0, None, None)

@@ -1,11 +1,18 @@
 """The command line: overrides, choices of files, and what is refused."""
 
+import shlex
+import sys
+
 import pytest
 import yaml
 from configs import FOLDER, resolve, select, typed
 
 from marl_lanes.training.algorithms.naf import TrainingConfig
-from marl_lanes.training.command_line import compose_fields, read_command_line
+from marl_lanes.training.command_line import (
+    compose_fields,
+    describe_command,
+    read_command_line,
+)
 from marl_lanes.training.config import ConfigError
 
 
@@ -95,3 +102,11 @@ def test_a_file_is_chosen_if_no_override_names_one():
         for overrides in (["seed=5"], ["seed=6"], ["seed=5", "collector=single"])
     ]
     assert found == ["multi", "ray", "single"]
+
+
+def test_a_command_line_can_be_given_again(monkeypatch):
+    options = ["output=my runs/a", "network.hidden_sizes=[3, 4]"]
+    wanted = ["python", "agents/naf/train.py", *options]
+    assert shlex.split(describe_command("agents/naf/train.py", options)) == wanted
+    monkeypatch.setattr(sys, "argv", ["train.py", *options])
+    assert shlex.split(describe_command("agents/naf/train.py")) == wanted

@@ -1,0 +1,85 @@
+"""The files of a run: what is read, and one clear error for each that is not as it should be."""
+
+import json
+
+import pytest
+from report.runs import add_replays, make_run
+
+from marl_lanes.report.run_files import ReportError, read_run
+
+
+def test_what_is_read(tmp_path):
+    run = make_run(tmp_path / "run", choice="step_000000200.pt")
+    add_replays(run, 1, 17)
+    (run / "replays" / "notes.html").write_text("", encoding="utf-8")
+    found = read_run(run)
+    assert found.evaluation.intervals["success_rate"].low == 0.4375
+    assert [one.is_success for one in found.maneuvers] == [True, False, False, True]
+    assert [one.failure_time for one in found.maneuvers] == [None, 23.5, 23.5, None]
+    assert found.replays == {1, 17}
+    assert found.has_film is False
+    assert found.chosen == "step_000000200.pt"
+    assert (found.scenario, found.command) == ("paper", "python train.py seed=0")
+    assert found.seconds["seconds_evaluating"] == 9.5
+    (run / "film.mp4").write_bytes(b"film")
+    (run / "choice.json").unlink()
+    assert read_run(run).has_film
+    assert read_run(run).chosen is None
+
+
+@pytest.mark.parametrize(
+    "name", ["evaluation.json", "final_maneuvers.csv", "training.json", "command.txt"]
+)
+def test_a_run_that_is_not_finished(tmp_path, name):
+    run = make_run(tmp_path / "run")
+    (run / name).unlink()
+    with pytest.raises(ReportError, match=f"has no {name}: it is not finished.*resume=.*run"):
+        read_run(run)
+
+
+def test_a_folder_without_a_run(tmp_path):
+    for path in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(ReportError, match=r"must be a run folder; it has no config\.yaml"):
+            read_run(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("evaluation.json", "{", "evaluation.json: not readable as JSON"),
+        ("evaluation.json", "[1]", "evaluation.json: must be a mapping"),
+        ("evaluation.json", b"\xff\xff", "evaluation.json: cannot be read"),
+        ("training.json", "[1]", "training.json: must be a mapping"),
+        ("training.json", '{"seconds_a": "b"}', "seconds_a = 'b': must be a number"),
+        ("config.yaml", "seed: [", "config.yaml: not readable as YAML"),
+        ("config.yaml", "seed: 1", "config.yaml: scenario: must be given"),
+        ("choice.json", "{}", "choice.json: chosen: must be given"),
+        ("final_maneuvers.csv", "road,command\n1,2\n", "has 1 maneuvers: must have the 4"),
+        ("final_maneuvers.csv", "road\n" + "x\n" * 4, "road = 'x': must be a valid integer"),
+    ],
+)
+def test_a_broken_file(tmp_path, name, text, message):
+    run = make_run(tmp_path / "run")
+    (run / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ReportError) as caught:
+        read_run(run)
+    assert message in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("num_maneuvers", 0, "num_maneuvers = 0: must be greater than or equal to 1"),
+        ("confidence", 95, "confidence = 95: must be less than 1"),
+        ("seed", "x", "seed = 'x': must be a valid integer"),
+        ("intervals", {}, "intervals.success_rate: must be given"),
+    ],
+)
+def test_a_wrong_number(tmp_path, field, value, message):
+    run = make_run(tmp_path / "run")
+    fields = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
+    (run / "evaluation.json").write_text(json.dumps(fields | {field: value}), encoding="utf-8")
+    with pytest.raises(ReportError) as caught:
+        read_run(run)
+    assert message in str(caught.value)
