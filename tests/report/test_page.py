@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import pytest
 from report.runs import ROWS, add_replays, make_run, row
 
+from marl_lanes.colours import DARK, LIGHT
 from marl_lanes.evaluation.headlines import HEADLINES
 from marl_lanes.extras import MissingExtraError
 from marl_lanes.report import page
@@ -190,6 +191,18 @@ def test_the_figures_are_part_of_the_page(tmp_path):
     assert len(ids) == len(set(ids))
     targets = {one["aria-labelledby"] for one in found.elements if "aria-labelledby" in one}
     assert targets <= set(ids)
+
+
+def test_the_page_is_light_or_dark_as_the_reader_wishes(tmp_path):
+    report(tmp_path)
+    text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    light, dark = text.split("@media (prefers-color-scheme: dark)")
+    used = set(re.findall(r"var\(--([\w-]+)\)", text))
+    assert {"series-1", "text", "background", "warning"} <= used
+    for part, theme in ((light, LIGHT), (dark, DARK)):
+        found = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6});", part))
+        assert used <= set(found)
+        assert (found["text"], found["series-2"]) == (theme.text, theme.series[1])
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path):
