@@ -10,7 +10,7 @@ from browser.waiting import wait_until
 from marl_lanes import load_scenario
 from marl_lanes.browser.bundle import write_replay
 from marl_lanes.browser.optima import find_optima
-from marl_lanes.colours import LIGHT, TRAFFIC
+from marl_lanes.colours import TRAFFIC
 from marl_lanes.trajectory.events import find_commands, find_events
 from marl_lanes.trajectory.file import Trajectory
 from marl_lanes.trajectory.metadata import Metadata
@@ -131,7 +131,7 @@ def test_cars_are_on_the_curved_road(curved, open_page):
         on, beside = (
             page.evaluate(PIXEL, [float(x), float(y)]) for x, y in zip(xs, ys, strict=True)
         )
-        assert (on, beside) == (TRAFFIC.road, LIGHT.ground)
+        assert on == TRAFFIC.road != beside
 
 
 def test_a_lane_change_is_seen(replay, open_page):
