@@ -1,6 +1,7 @@
 """The replay page in a browser: what it draws, and what it does when one presses and clicks."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from browser.waiting import wait_until
 from marl_lanes import load_scenario
 from marl_lanes.browser.bundle import write_replay
 from marl_lanes.browser.optima import find_optima
-from marl_lanes.colours import LIGHT, TRAFFIC
+from marl_lanes.colours import TRAFFIC
 from marl_lanes.trajectory.events import find_commands, find_events
 from marl_lanes.trajectory.file import Trajectory
 from marl_lanes.trajectory.metadata import Metadata
@@ -131,7 +132,7 @@ def test_cars_are_on_the_curved_road(curved, open_page):
         on, beside = (
             page.evaluate(PIXEL, [float(x), float(y)]) for x, y in zip(xs, ys, strict=True)
         )
-        assert (on, beside) == (TRAFFIC.road, LIGHT.ground)
+        assert on == TRAFFIC.road != beside
 
 
 def test_a_lane_change_is_seen(replay, open_page):
@@ -303,27 +304,30 @@ def test_the_list_and_its_filter(replay, open_page):
 
 def test_hard_braking_is_found_by_its_threshold(replay, open_page):
     with open_page(replay.address) as page:
-        for limit in (1.2, 6.0):
-            page.get_by_label("hard: over").fill(str(limit))
-            hard = replay.rows[replay.rows["acceleration"] < -limit - 1e-3]
-            marks = page.locator(".track .mark.braking")
-            assert (marks.count() > 0) == (hard.size > 0)
-            first = page.locator("#brakings button").first
-            if hard.size:
-                hardest = f"{-replay.rows['acceleration'].min():.1f} m/s²"
-                assert first.text_content().startswith(hardest)
-                first.click()
-                vehicle, step = page.evaluate("[player.selection.vehicle, player.scene.step]")
-                page.evaluate(SEEK, time_of(page))
-                vehicle, step = page.evaluate("[player.selection.vehicle, player.scene.step]")
-                braking = -replay.row(vehicle, step)["acceleration"]
-                assert f"{braking:.1f} m/s²" == hardest
-            else:
-                assert "No vehicle brakes harder" in page.locator("#brakings-note").text_content()
-        page.get_by_label("hard braking").check()
-        page.get_by_label("hard: over").fill("6")
+        marks = page.locator(".track .mark.braking")
+        limit = 1.2
+        page.get_by_label("hard: over").fill(str(limit))
+        hard = replay.rows[replay.rows["acceleration"] < -limit - 1e-3]
+        titles = marks.evaluate_all("all => all.map((one) => one.title)")
+        found = [
+            re.fullmatch(r"hard braking of vehicle (\d+), .* s, (.*) m/s²", one) for one in titles
+        ]
+        assert {int(one[1]) for one in found} == set(hard["vehicle"].tolist())
+        assert min(float(one[2]) for one in found) >= limit
+        # The hardest is the first of the list, and a click goes there.
+        first = page.locator("#brakings button").first
+        hardest = f"{-replay.rows['acceleration'].min():.1f} m/s²"
+        assert first.text_content().startswith(hardest)
+        first.click()
+        page.evaluate(SEEK, time_of(page))
+        vehicle, step = page.evaluate("[player.selection.vehicle, player.scene.step]")
+        assert f"{-replay.row(vehicle, step)['acceleration']:.1f} m/s²" == hardest
+        page.get_by_role("checkbox", name="hard braking").check()
+        page.get_by_label("hard: over").fill("15")
+        assert marks.count() == 0
         assert page.locator("#rows tr").count() == 0
         assert page.locator("#none").is_visible()
+        assert "No vehicle brakes harder" in page.locator("#brakings-note").text_content()
 
 
 def test_plots_show_the_rows_and_the_optimum(replay, open_page):
@@ -373,21 +377,53 @@ def test_the_ghost_of_the_optimum_is_on_the_road(curved, open_page):
     """On the curved road the optimum differs most from what was driven."""
     command = curved.completed
     optimum = find_optima(curved.rows, curved.scenario)[command.command]
+    places = np.zeros(len(optimum["position"]), curved.rows.dtype)
+    places["position"] = optimum["position"]
+    places["lateral_position"] = optimum["lateral_position"]
+    now = 20
     with open_page(f"{curved.address}#command={command.command}") as page:
-        now = (optimum["first_step"] + 20) * curved.scenario.time_step
-        keep = """() => {
-            const { canvas } = player;
-            const size = [0, 0, canvas.width, canvas.height];
-            window.before = window.after;
-            window.after = canvas.getContext('2d').getImageData(...size).data;
-        }"""
-        for optima in ("player.optima", "player.optima", "{}"):
+        bright = []
+        for optima in ("player.optima", "{}"):
             page.evaluate(f"player.setOptima({optima})")
-            page.evaluate(SEEK, now)
-            page.evaluate(keep)
-            changed = page.evaluate("after.filter((one, i) => before && one !== before[i]).length")
-            # The same twice, then without the path and the car of the optimum.
-            assert (changed > 500) == (optima == "{}")
+            page.evaluate(SEEK, (optimum["first_step"] + now) * curved.scenario.time_step)
+            xs, ys = project(curved, places, view_of(page))
+            pixels = [
+                page.evaluate(PIXEL, [float(x), float(y)]) for x, y in zip(xs, ys, strict=True)
+            ]
+            bright.append([min(bytes.fromhex(pixel[1:])) > 150 for pixel in pixels])
+        # The path is dashed, and elsewhere there is no white line.
+        assert sum(bright[0][now + 5 : now + 15]) >= 2
+        assert not any(bright[1][now + 5 : now + 15])
+
+
+def test_the_ghosts_car_is_where_the_optimum_is(curved, open_page):
+    command = curved.completed
+    optimum = find_optima(curved.rows, curved.scenario)[command.command]
+    keep = """() => {
+        const { canvas } = player;
+        const size = [0, 0, canvas.width, canvas.height];
+        window.before = window.after;
+        window.after = canvas.getContext('2d').getImageData(...size).data;
+    }"""
+    with open_page(f"{curved.address}#command={command.command}") as page:
+        page.evaluate(SEEK, (optimum["first_step"] + 20) * curved.scenario.time_step)
+        page.evaluate(keep)
+        # Only the car is left out.
+        page.evaluate("player.ghost.drawCar = () => {}")
+        page.evaluate(SEEK, (optimum["first_step"] + 20) * curved.scenario.time_step)
+        page.evaluate(keep)
+        changed = page.evaluate(
+            "[...after.keys()].filter((i) => i % 4 === 0 && after[i] !== before[i])"
+            ".map((i) => (i / 4) % player.canvas.width)"
+        )
+        view = view_of(page)
+        place = np.zeros(1, curved.rows.dtype)
+        place["position"] = optimum["position"][20]
+        place["lateral_position"] = optimum["lateral_position"][20]
+        ((x,), _) = project(curved, place, view)
+        half = 0.5 * view["scale"] * curved.scenario.vehicle.length
+        assert min(changed) == pytest.approx(x - half, abs=4)
+        assert max(changed) == pytest.approx(x + half, abs=4)
 
 
 def test_where_there_is_no_optimum_the_page_says_why(replay, open_page):
@@ -424,6 +460,7 @@ def test_fragments(replay, open_page):
         page.evaluate(f"location.hash = '#t=15&vehicle={vehicle}'")
         wait_until(page, "player.clock.time === 15")
         assert page.evaluate("player.selection.vehicle") == vehicle
+        wait_until(page, f"location.hash === '#t=15.0&vehicle={vehicle}'")
         page.evaluate("player.clock.seek(17.3)")
         wait_until(page, f"location.hash === '#t=17.3&vehicle={vehicle}'")
         page.evaluate("location.hash = '#command=99'")
@@ -555,6 +592,23 @@ def test_a_hostile_name_is_text(replay, open_page, tmp_path):
         assert hostile in page.locator("#optimum").text_content()
         assert page.locator("img").count() == 0
         assert page.evaluate("window.owned") is None
+
+
+def test_a_vehicle_is_known_while_it_is_on_the_road(replay, open_page):
+    vehicle = int(replay.at(100)["vehicle"][-1])
+    steps = replay.rows["step"][replay.rows["vehicle"] == vehicle]
+    first, last = int(steps.min()), int(steps.max())
+    assert first > 0
+    read = "([vehicle, step]) => player.store.read(vehicle, step)"
+    with open_page(replay.address) as page:
+        assert page.evaluate("(id) => player.store.spanOf(id)", vehicle) == [first, last]
+        for step in (first, last):
+            found = page.evaluate(read, [vehicle, step])
+            row = replay.row(vehicle, step)
+            assert found["position"] == pytest.approx(row["position"], abs=1e-3)
+        for gone in (first - 1, last + 1, -5, 10_000):
+            assert page.evaluate(read, [vehicle, gone]) is None
+        assert page.evaluate(read, [10**6, first]) is None
 
 
 def test_chunks_of_a_stream_are_one_road(replay, open_page):

@@ -118,3 +118,19 @@ def test_steering_ends_in_the_target_lane(arcs, direction):
     assert known[DEVIATION, 0] == pytest.approx(3.75, abs=0.02)
     assert np.abs(known[DEVIATION, 150:]).max() < 0.3
     assert np.abs(replay._actions).max() <= 0.5
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_path_is_the_vehicle_before_and_after_each_step(direction):
+    replay, rng = replayed(ROADS["straight"], direction), np.random.default_rng(0)
+    actions = rng.uniform(-0.2, 0.2, 50)
+    known = replay.follow(actions)
+    path = replay.path(50)
+    assert path.shape == (51,)
+    moved = direction * np.diff(path["lateral_position"])
+    np.testing.assert_allclose(-np.diff(known[DEVIATION]), moved[1:], atol=1e-12)
+    np.testing.assert_allclose(direction * path["yaw_acceleration"][1:], actions, atol=1e-12)
+    # A copy: another path does not change it.
+    before = path["yaw"].copy()
+    replay.follow(-actions)
+    np.testing.assert_array_equal(path["yaw"], before)

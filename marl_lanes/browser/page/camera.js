@@ -1,6 +1,8 @@
 // What the canvas shows of the road: where it looks, how large, and from metres to pixels.
 
 const MIN_SCALE = 0.5;
+/** [m] Shown beside the road at least, until someone zooms. */
+const BESIDE = 4;
 const MAX_SCALE = 60;
 /** [1/s] How fast the camera goes to a vehicle that it begins to follow. */
 const CATCH_UP = 6;
@@ -9,9 +11,11 @@ export class Camera {
   constructor(line, header) {
     this.line = line;
     this.length = header.road_length;
-    this.middle = 0.5 * header.num_lanes * header.lane_width;
+    this.roadWidth = header.num_lanes * header.lane_width;
+    this.middle = 0.5 * this.roadWidth;
     this.position = 0;
     this.scale = 8;
+    this.fitting = 8;
     this.width = 1;
     this.height = 1;
     this.centre = { x: 0, y: 0, heading: 0 };
@@ -25,7 +29,9 @@ export class Camera {
   resize(width, height) {
     this.width = width;
     this.height = height;
-    if (!this.isChosen) this.scale = width / Math.min(140, Math.max(70, width / 9));
+    const across = height / (this.roadWidth + 2 * BESIDE);
+    this.fitting = Math.min(width / Math.min(140, Math.max(70, width / 9)), across);
+    if (!this.isChosen) this.scale = this.fitting;
     this.aim();
   }
 
@@ -38,7 +44,7 @@ export class Camera {
     this.isChosen = true;
     const offset = (x - this.width / 2) / this.scale;
     const before = this.scale;
-    const least = Math.max(MIN_SCALE, this.width / (1.2 * this.length));
+    const least = Math.min(this.fitting, Math.max(MIN_SCALE, this.width / (1.2 * this.length)));
     this.scale = Math.min(Math.max(this.scale * factor, least), MAX_SCALE);
     this.moveTo(this.position + offset * (1 - before / this.scale));
   }

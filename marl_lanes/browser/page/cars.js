@@ -1,5 +1,7 @@
 // Vehicles on the road: bodies, indicators, brake lights, the gap of a changer, the selected one.
 
+const GLASS = "#262e3a";
+const HEADLIGHT = "#fffae1";
 const OUTLINED = ["cooperative", "neutral", "adversarial"];
 /** [s] Half a period of an indicator. */
 const BLINK = 0.4;
@@ -82,7 +84,7 @@ export class Cars {
   }
 
   drawWindows(context, length, width) {
-    context.fillStyle = "rgba(10, 14, 20, 0.55)";
+    context.fillStyle = GLASS;
     context.beginPath();
     context.moveTo(0.1 * length, -0.4 * width);
     context.lineTo(0.25 * length, -0.32 * width);
@@ -91,19 +93,35 @@ export class Cars {
     context.closePath();
     context.fill();
     context.fillRect(-0.38 * length, -0.34 * width, 0.1 * length, 0.68 * width);
+    context.fillStyle = HEADLIGHT;
+    const size = 0.14 * width;
+    for (const side of [-1, 1]) {
+      context.fillRect(0.48 * length - size, side * 0.33 * width - size / 2, size, size);
+    }
   }
 
+  /** By disposition; told apart by their patterns, too. */
   drawOutline(context, colours, disposition, length, width) {
     const name = OUTLINED.includes(disposition) ? disposition : "external";
-    context.strokeStyle = colours[name];
-    context.lineWidth = Math.min(3, Math.max(1, 0.1 * width));
-    // Told apart by their patterns, too.
-    const unit = context.lineWidth;
-    if (name === "adversarial") context.setLineDash([3 * unit, 1.5 * unit]);
-    else if (name === "external") context.setLineDash([unit, unit]);
-    traceBody(context, length, width);
-    context.stroke();
-    context.setLineDash([]);
+    const thin = Math.max(1, 0.07 * width);
+    const thick = Math.max(1.5, 0.15 * width);
+    const stroke = (colour, thickness, dashes = []) => {
+      context.strokeStyle = colour;
+      context.lineWidth = thickness;
+      context.setLineDash(dashes);
+      traceBody(context, length, width);
+      context.stroke();
+      context.setLineDash([]);
+    };
+    if (name === "neutral" || name === "adversarial") {
+      stroke(colours.neutral, name === "neutral" ? thin : thick);
+    }
+    if (name === "adversarial") stroke(colours.adversarial, thick, [1.6 * thick, 1.1 * thick]);
+    if (name === "cooperative") stroke(colours.cooperative, thick);
+    if (name === "external") {
+      stroke(colours.external, 1.6 * thick);
+      stroke(colours.neutral, 0.5 * thick);
+    }
   }
 
   drawBrakes(context, colours, length, width) {

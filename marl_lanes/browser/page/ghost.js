@@ -13,8 +13,8 @@ export class Ghost {
     const last = first + optimum.position.length - 1;
     const now = scene.time / this.store.timeStep;
     if (now < maneuver.firstStep || now > Math.max(last, maneuver.lastStep) + 10) return;
-    this.drawPath(context, colours, optimum);
     this.drawDriven(context, colours, maneuver, first);
+    this.drawPath(context, colours, optimum);
     if (now >= first && now <= last) this.drawCar(context, colours, optimum, now - first);
   }
 

@@ -51,8 +51,9 @@ export class Plot {
     this.figure.append(caption, area);
   }
 
-  get inner() {
-    return {
+  /** The size on the page, read once: while it plays, the cursor moves in every frame. */
+  measure() {
+    this.inner = {
       left: MARGIN.left,
       width: this.canvas.clientWidth - MARGIN.left - MARGIN.right,
       top: MARGIN.top,
@@ -69,6 +70,7 @@ export class Plot {
 
   draw(colours, window, phases) {
     fit(this.canvas);
+    this.measure();
     const context = begin(this.canvas);
     const { left, width, top, height } = this.inner;
     const range = this.range(window);
@@ -189,7 +191,10 @@ export class Plot {
     this.cursor.style.transform = `translateX(${left + share * width}px)`;
     this.data.lines.forEach((line, i) => {
       const value = isIn ? line.at(time, step) : NaN;
-      this.values[i].value.textContent = Number.isFinite(value) ? format(value) : "–";
+      const text = Number.isFinite(value) ? format(value) : "–";
+      if (text === this.values[i].text) return;
+      this.values[i].text = text;
+      this.values[i].value.textContent = text;
     });
   }
 }

@@ -5,6 +5,8 @@ const GAP = 12;
 /** [m] Between the posts that show the position. */
 const POST = 50;
 const SHOULDER = 1.2;
+/** [m] How far the stripes on the ground reach; no curve is narrower. */
+const BESIDE = 45;
 
 export class RoadView {
   constructor(camera, header) {
@@ -22,6 +24,7 @@ export class RoadView {
     const last = camera.position + reach;
     context.fillStyle = colours.ground;
     context.fillRect(0, 0, camera.width, camera.height);
+    this.stripes(context, first, last, width, colours);
     this.band(context, first, last, -SHOULDER, width + SHOULDER, colours.road);
     for (let lane = 0; lane <= header.num_lanes; lane += 1) {
       const isEdge = lane === 0 || lane === header.num_lanes;
@@ -31,6 +34,15 @@ export class RoadView {
       if (end > first && end < last) this.line(context, end, 0, width, colours.marking, 2);
     }
     this.posts(context, Math.max(0, first), Math.min(header.road_length, last), colours);
+  }
+
+  /** Stripes on the ground, which stand still, so that motion is seen. */
+  stripes(context, first, last, width, colours) {
+    context.globalAlpha = 0.05;
+    for (let at = Math.floor(first / POST) * POST; at < last; at += POST) {
+      this.band(context, at, at + POST / 2, -BESIDE, width + BESIDE, colours.text);
+    }
+    context.globalAlpha = 1;
   }
 
   band(context, first, last, low, high, colour) {
