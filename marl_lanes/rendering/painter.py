@@ -19,6 +19,9 @@ from marl_lanes.trajectory.frames import Frame
 Picture = NDArray[np.uint8]
 """(height, width, 3), red, green and blue."""
 
+_REACH = 8.0
+"""[pixel] From a vehicle's centre, at least, where it is found."""
+
 
 class Painter:
     """Draws the frames of a road, one after the other.
@@ -59,6 +62,40 @@ class Painter:
         self._strips.draw(self._surface, self.lettering, frame, focus, self._camera)
         self._scene.draw(self._surface, frame, focus, self._spotlight.incidents)
         return self._read()
+
+    @property
+    def followed(self) -> int:
+        """Number of the vehicle that the last picture followed; -1 if there was none."""
+        return self._spotlight.followed
+
+    def follow(self, vehicle: int | None) -> None:
+        """Follow a vehicle from the next picture on; None: the picture chooses."""
+        self._spotlight.follow(vehicle)
+
+    def forget(self) -> None:
+        """Begin anew: forget whom the pictures followed, and what has happened."""
+        self._spotlight.forget()
+
+    def find_vehicle(self, frame: Frame, place: tuple[int, int]) -> int | None:
+        """The vehicle at a place of a picture, in the camera's view or in a strip.
+
+        Args:
+            frame: the one that was drawn last.
+            place: x to the right and y down [pixel].
+
+        Returns:
+            its number; None where there is no vehicle.
+        """
+        rows, view, reach = frame.rows, self.layout.camera, _REACH
+        if view.collidepoint(place):
+            x, y, _ = self._camera.place(rows["position"], rows["lateral_position"])
+            x, y = x + view.left, y + view.top
+            reach = max(0.5 * frame.scenario.vehicle.length * self._camera.scale, reach)
+        else:
+            x, y = self._strips.place(rows)
+        distance = np.hypot(x - place[0], y - place[1])
+        found = np.flatnonzero(distance <= reach)
+        return int(rows["vehicle"][found[np.argmin(distance[found])]]) if found.size else None
 
     def _draw_ground(self) -> "pygame.Surface":
         """What stands still in all frames."""

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from marl_lanes.rendering.camera import Camera
 from marl_lanes.rendering.layout import Layout, Strip
@@ -13,7 +14,7 @@ from marl_lanes.rendering.spotlight import Focus
 from marl_lanes.rendering.sprites import Look, Sprites
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import Fate, Phase
-from marl_lanes.trajectory.frames import Frame
+from marl_lanes.trajectory.frames import Frame, Rows
 
 _MIN_LENGTH, _MIN_WIDTH = 3.0, 2.0
 """Least size of a vehicle [pixel]."""
@@ -75,6 +76,21 @@ class Strips:
         for strip in self._strips:
             self._mark_window(surface, strip, camera)
 
+    def place(self, rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pixels x (right) and y (down) of the vehicles' centres; nan where there are no strips."""
+        if not self._strips:
+            return np.full(rows.size, np.nan), np.full(rows.size, np.nan)
+        index = self._find_strips(rows["position"])
+        starts = np.array([strip.start for strip in self._strips])[index]
+        bottoms = np.array([strip.rect.bottom for strip in self._strips])[index]
+        x = self._strips[0].rect.left + (rows["position"] - starts) * self._along
+        return x, bottoms - rows["lateral_position"] * self._across
+
+    def _find_strips(self, position: ArrayLike) -> NDArray[np.intp]:
+        """Index of the strip that shows a position."""
+        starts = [strip.start for strip in self._strips[1:]]
+        return np.searchsorted(starts, position, side="right")
+
     def _label(self, surface: "pygame.Surface", lettering: Lettering, strip: Strip) -> None:
         small = self._layout.small
         widest = lettering.measure(f"{self._length:.0f} m", small)[0]
@@ -94,11 +110,8 @@ class Strips:
 
     def _draw_vehicles(self, surface: "pygame.Surface", frame: Frame, focus: Focus) -> None:
         rows = frame.rows
-        piece = self._strips[0].end - self._strips[0].start
-        index = np.clip((rows["position"] // piece).astype(int), 0, len(self._strips) - 1)
-        left, bottom = self._strips[0].rect.left, [strip.rect.bottom for strip in self._strips]
-        x = (left + (rows["position"] - index * piece) * self._along).tolist()
-        y = (np.asarray(bottom)[index] - rows["lateral_position"] * self._across).tolist()
+        places = self.place(rows)
+        x, y = places[0].tolist(), places[1].tolist()
         ratio = self._across / self._along
         yaw = np.arctan2(np.sin(rows["yaw"]) * ratio, np.cos(rows["yaw"])).tolist()
         is_agent = (rows["phase"] != Phase.ABSENT) | (rows["outcome"] != 0)
@@ -115,7 +128,8 @@ class Strips:
         surface.fblits(pictures, pygame.BLEND_PREMULTIPLIED)
         surface.fblits(above, pygame.BLEND_PREMULTIPLIED)
         if focus.row is not None:
-            self._point_at(surface, x[focus.row], bottom[int(index[focus.row])])
+            strip = self._strips[int(self._find_strips(rows["position"][focus.row]))]
+            self._point_at(surface, x[focus.row], strip.rect.bottom)
 
     def _point_at(self, surface: "pygame.Surface", x: float, bottom: int) -> None:
         """A triangle below the strip, at the followed vehicle."""

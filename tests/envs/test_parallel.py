@@ -319,8 +319,6 @@ def test_state_shows_every_vehicle_by_decreasing_position():
 
 def test_what_cannot_be_is_refused():
     for form in (parallel_env, env):
-        with pytest.raises(ValueError, match=r"render_mode = 'human'"):
-            form(render_mode="human")
         with pytest.raises(ScenarioError, match=r"needs num_agents \(is None\)"):
             form(overrides={"num_agents": None})
         with pytest.raises(ScenarioError, match=r"command\.probability > 0 \(is 0\.0\)"):
