@@ -10,7 +10,7 @@ from marl_lanes.rendering.lettering import Lettering
 from marl_lanes.rendering.loading import pygame
 from marl_lanes.rendering.palette import GRID, MARKING, MUTED, ROAD, TEXT, mix
 from marl_lanes.rendering.spotlight import Focus
-from marl_lanes.rendering.sprites import Look, Sprites
+from marl_lanes.rendering.sprites import Look, Sprite, Sprites
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import Fate, Phase
 from marl_lanes.trajectory.frames import Frame
@@ -47,8 +47,8 @@ class Strips:
         # One that drives a lane change is a bit larger, so that one finds it.
         self._large = Sprites(1.35 * length + 1.0, 1.35 * width + 1.0)
 
-    def draw_ground(self, surface: "pygame.Surface") -> None:
-        """Draw what stands still: lanes and ticks."""
+    def draw_ground(self, surface: "pygame.Surface", lettering: Lettering) -> None:
+        """Draw what stands still: lanes and positions."""
         for strip in self._strips:
             rect = strip.rect
             surface.fill(ROAD, rect)
@@ -57,20 +57,12 @@ class Strips:
                 surface.fill(mix(ROAD, MARKING, 0.22), (rect.left, y, rect.width, 1))
             for y in (rect.top - 1, rect.bottom):
                 surface.fill(mix(ROAD, MARKING, 0.6), (rect.left, y, rect.width, 1))
+            self._label(surface, lettering, strip)
 
-    def draw(
-        self,
-        surface: "pygame.Surface",
-        lettering: Lettering,
-        frame: Frame,
-        focus: Focus,
-        camera: Camera,
-    ) -> None:
-        """Draw the vehicles, the camera's window and the positions."""
+    def draw(self, surface: "pygame.Surface", frame: Frame, focus: Focus, camera: Camera) -> None:
+        """Draw the vehicles and the camera's window."""
         if not self._strips:
             return
-        for strip in self._strips:
-            self._label(surface, lettering, strip)
         self._draw_vehicles(surface, frame, focus)
         for strip in self._strips:
             self._mark_window(surface, strip, camera)
@@ -103,7 +95,8 @@ class Strips:
         yaw = np.arctan2(np.sin(rows["yaw"]) * ratio, np.cos(rows["yaw"])).tolist()
         is_agent = (rows["phase"] != Phase.ABSENT) | (rows["outcome"] != 0)
         is_lost = (rows["fate"] == Fate.COLLIDES) | (rows["fate"] == Fate.STRAYS)
-        pictures, above = [], []
+        pictures: list[Sprite] = []
+        above: list[Sprite] = []
         for number, (is_red, is_gone) in enumerate(
             zip(is_agent.tolist(), is_lost.tolist(), strict=True)
         ):
