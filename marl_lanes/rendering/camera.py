@@ -14,7 +14,7 @@ FloatArray = NDArray[np.floating[Any]]
 BEHIND = 0.42
 """Share of the picture's width that lies behind the followed vehicle."""
 
-MARGIN = 4.0
+MARGIN = 5.5
 """[m] Least strip of ground beside the road."""
 
 _CELL = 16
@@ -65,7 +65,7 @@ class Camera:
         self.position = position
         x, y, heading = self._line.place(position, 0.5 * self.road_width)
         self._x, self._y, self._heading = float(x), float(y), float(heading)
-        reach = 0.5 * self.size[0] / self.scale
+        reach = max(0.5 * self.size[0], self.size[1]) / self.scale
         self.reach = (
             max(self.start - reach, float(self._line.position[0])),
             min(self.end + reach, float(self._line.position[-1])),

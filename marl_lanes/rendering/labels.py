@@ -216,7 +216,7 @@ class Labels:
         first = max(math.ceil(camera.reach[0] / POST_SPACING), 0)
         last = min(camera.reach[1], self._scenario.road.length) / POST_SPACING
         places = POST_SPACING * np.arange(first, math.floor(last) + 1)
-        x, y, _ = camera.place(places, camera.road_width + 2.4)
+        x, y, _ = camera.place(places, camera.road_width + 2.2)
         for place, column, line in zip(places.tolist(), x.tolist(), y.tolist(), strict=True):
             self._put(surface, f"{place:.0f} m", (column, line), TEXT, "midbottom", None)
 
@@ -227,7 +227,7 @@ class Labels:
         width, stroke = round(length * camera.scale), max(text // 7, 1)
         end = round(0.4 * text)
         place = right - width / 2, bottom - end
-        if self._put(surface, f"{length} m", place, TEXT, "midbottom", None):
+        if self._put(surface, f"{length} m", place, TEXT, "midbottom"):
             surface.fill(MARKING, (right - width, bottom - stroke, width, stroke))
             for x in (right - width, right - stroke):
                 surface.fill(MARKING, (x, bottom - end, stroke, end))

@@ -28,6 +28,15 @@ _STRIP_SCALE = 2.6
 
 _MAX_STRIPS = 6
 
+_STRIPS_SHARE = 0.25
+"""Of the height, at most."""
+
+_MIN_LINES = 22
+"""Lines of text in the height of a picture that has more than the camera's view."""
+
+_STRIP_LINES = 5
+"""Lines of text that the panel leaves for a strip."""
+
 _MIN_LANE = 4
 """[pixel] Least width of a lane in a strip."""
 
@@ -80,7 +89,10 @@ def make_layout(scenario: Scenario, options: ViewOptions) -> Layout:
     wanted = (road.num_lanes * road.lane_width + 2.0 * verge) * width / options.span
     least = round(min(max(wanted, 0.30 * height), 0.55 * height))
     panel, panel_height = _place_panel(width, height - least, text)
-    strips, strips_height = _place_strips(scenario, width, height - least - panel_height, text)
+    free = min(height - least - panel_height, round(_STRIPS_SHARE * height))
+    if height < _MIN_LINES * text:
+        free = 0
+    strips, strips_height = _place_strips(scenario, width, free, text)
     camera = pygame.Rect(0, 0, width, height - panel_height - strips_height)
     return Layout(
         options.size,
@@ -92,28 +104,31 @@ def make_layout(scenario: Scenario, options: ViewOptions) -> Layout:
 
 
 def _place_panel(width: int, free: int, text: int) -> tuple[dict[str, "pygame.Rect"], int]:
-    """Parts side by side, those that fit, and the height of all; the top is 0."""
+    """Parts side by side, in as many rows as there is room for, and the height of all.
+
+    The top is 0. No panel is better than the time alone.
+    """
     margin = round(0.7 * text)
     height = round(PANEL_LINES * SPACING * text) + margin
-    strip = round(5.0 * text)
-    if height + strip + margin > free:
-        return {}, 0
-    names: list[str] = []
-    left = margin
+    rows: list[list[str]] = [[]]
     for name, lines in COLUMNS.items():
-        if left + lines * text + margin > width:
-            break
-        names.append(name)
-        left += lines * text + margin
-    if len(names) < 2:
+        used = sum(COLUMNS[other] * text + margin for other in rows[-1])
+        if margin + used + lines * text + margin > width:
+            rows.append([])
+        rows[-1].append(name)
+    num_rows = min(len(rows), (free - _STRIP_LINES * text) // (height + margin))
+    if num_rows < 1 or len(rows[0]) < 2:
         return {}, 0
-    # The rest of the width goes to all in proportion.
-    share = (width - margin * (len(names) + 1)) / sum(COLUMNS[name] for name in names)
-    rects, place = {}, float(margin)
-    for name in names:
-        rects[name] = pygame.Rect(round(place), 0, int(share * COLUMNS[name]), height)
-        place += share * COLUMNS[name] + margin
-    return rects, height + margin
+    rects = {}
+    for index, names in enumerate(rows[:num_rows]):
+        # The rest of the width goes to all in proportion.
+        share = (width - margin * (len(names) + 1)) / sum(COLUMNS[name] for name in names)
+        left = float(margin)
+        for name in names:
+            top = index * (height + margin)
+            rects[name] = pygame.Rect(round(left), top, int(share * COLUMNS[name]), height)
+            left += share * COLUMNS[name] + margin
+    return rects, num_rows * (height + margin)
 
 
 def _place_strips(scenario: Scenario, width: int, free: int, text: int) -> tuple[list[Strip], int]:

@@ -46,7 +46,7 @@ class Painter:
         self._spotlight = Spotlight(self.options)
         self._scene = Scene(scenario, self.layout, self._camera, self.lettering)
         self._strips = Strips(scenario, self.layout)
-        self._panel = Panel(scenario, self.layout, self.lettering, title)
+        self._panel = Panel(scenario, self.layout, self.lettering, title, self.options.speed)
         self._legend = Legend(scenario, self.layout, self.lettering)
         self._surface = pygame.Surface(self.options.size, depth=32)
         self._ground = self._draw_ground()
@@ -54,12 +54,13 @@ class Painter:
     def draw(self, frame: Frame) -> Picture:
         """The picture of a frame, (height, width, 3) uint8."""
         focus = self._spotlight.look(frame)
+        incidents = self._spotlight.incidents
         self._camera.look_at(focus.position)
         self.lettering.begin()
         self._surface.blit(self._ground, (0, 0))
-        self._panel.draw(self._surface, frame, focus)
+        self._panel.draw(self._surface, frame, focus, incidents)
         self._strips.draw(self._surface, frame, focus, self._camera)
-        self._scene.draw(self._surface, frame, focus, self._spotlight.incidents)
+        self._scene.draw(self._surface, frame, focus, incidents)
         return self._read()
 
     def _draw_ground(self) -> "pygame.Surface":

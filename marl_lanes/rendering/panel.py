@@ -11,6 +11,7 @@ from marl_lanes.rendering.palette import (
     BACKGROUND,
     GRID,
     MUTED,
+    OUTCOMES,
     PANEL,
     PHASES,
     SAFE_GAP,
@@ -18,7 +19,7 @@ from marl_lanes.rendering.palette import (
     WARNING,
     Colour,
 )
-from marl_lanes.rendering.spotlight import Focus
+from marl_lanes.rendering.spotlight import Focus, Incident
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import NONE, Phase
 from marl_lanes.traffic.roles.changer import CHANGER
@@ -37,15 +38,17 @@ class Panel:
         layout: with the places.
         lettering: for the text.
         title: of the picture, for example the policy's name.
+        speed: of playback [1].
     """
 
     def __init__(
-        self, scenario: Scenario, layout: Layout, lettering: Lettering, title: str
+        self, scenario: Scenario, layout: Layout, lettering: Lettering, title: str, speed: float
     ) -> None:
         self._scenario = scenario
         self._layout = layout
         self._lettering = lettering
         self._title = title
+        self._speed = speed
         (names,) = (column.names for column in COLUMNS if column.name == "disposition")
         self._dispositions = () if names is None else names(scenario)
         weights = CHANGER.weights(scenario)
@@ -62,14 +65,16 @@ class Panel:
         for rect in self._layout.panel.values():
             pygame.draw.rect(surface, PANEL, rect, border_radius=self._layout.text // 2)
 
-    def draw(self, surface: "pygame.Surface", frame: Frame, focus: Focus) -> None:
+    def draw(
+        self, surface: "pygame.Surface", frame: Frame, focus: Focus, incidents: list[Incident]
+    ) -> None:
         """Draw the text of one time step."""
         for name, rect in self._layout.panel.items():
             part = _Part(self._layout, self._lettering, surface, rect)
             if name == "time":
                 self._draw_time(part, frame)
             elif name == "agent":
-                self._draw_agent(part, frame, focus)
+                self._draw_agent(part, frame, focus, incidents)
             elif name == "reward":
                 self._draw_reward(part, frame, focus)
 
@@ -83,29 +88,44 @@ class Panel:
         part.write(f"road {frame.road}", MUTED)
         part.write(f"{rows.size} vehicles", MUTED)
         part.write(f"{num_live} commanded", MUTED)
+        if self._speed != 1.0:
+            part.write(f"{self._speed:g} x speed", MUTED)
 
-    def _draw_agent(self, part: "_Part", frame: Frame, focus: Focus) -> None:
-        if focus.row is None:
-            part.write("No command is live", TEXT)
-            part.write("the followed vehicle is gone", MUTED)
-            return
-        row = frame.rows[focus.row]
-        phase = Phase(int(row["phase"]))
-        if phase == Phase.ABSENT:
-            part.write("No command is live", TEXT)
-            part.pair("following", f"vehicle {row['vehicle']}")
-        else:
+    def _draw_agent(
+        self, part: "_Part", frame: Frame, focus: Focus, incidents: list[Incident]
+    ) -> None:
+        ended = [one for one in incidents if one.vehicle == focus.vehicle and one.command != NONE]
+        row = None if focus.row is None else frame.rows[focus.row]
+        if row is not None and row["phase"] != Phase.ABSENT:
+            phase = Phase(int(row["phase"]))
             part.write(f"changer_{row['command']}", TEXT, chip=(phase.name.lower(), PHASES[phase]))
+        elif ended:
+            outcome = ended[-1].outcome
+            chip = outcome.name.lower().replace("_", " "), OUTCOMES[outcome]
+            part.write(f"changer_{ended[-1].command}", TEXT, chip=chip)
+        else:
+            is_live = (frame.rows["phase"] != Phase.ABSENT).any()
+            part.write("Not commanded" if is_live else "No command is live", TEXT)
+        if row is None:
+            part.write("the followed vehicle is gone", MUTED)
+        else:
+            self._describe(part, frame.rows, row)
+
+    def _describe(self, part: "_Part", rows: Rows, row: np.void) -> None:
+        is_live = row["phase"] != Phase.ABSENT
+        if is_live:
             side = "left" if row["direction"] > 0 else "right"
             part.pair(f"to the {side}", f"lane {row['origin_lane']} to {row['target_lane']}")
+        else:
+            part.pair("vehicle", f"{row['vehicle']}")
         part.pair("speed", f"{row['speed']:.1f} m/s")
         part.pair("acceleration", _signed(row["acceleration"], 1, "m/s²"))
-        if phase == Phase.ABSENT:
+        if not is_live:
             part.pair("lane", f"{row['lane']}")
             part.pair("disposition", self._dispositions[row["disposition"]])
             return
-        part.pair("gap ahead", self._gap(frame.rows, focus.row, "target_leader"))
-        part.pair("gap behind", self._gap(frame.rows, focus.row, "target_follower"))
+        part.pair("gap ahead", self._gap(rows, row, "target_leader"))
+        part.pair("gap behind", self._gap(rows, row, "target_follower"))
         part.pair("deviation", _signed(row["lateral_deviation"], 2, "m"))
         part.pair("yaw", _signed(math.degrees(row["direction"] * row["yaw"]), 1, "°"))
         names = ("action_yaw_acceleration", "action_acceleration")
@@ -113,21 +133,23 @@ class Panel:
             value = float(row[name])
             bound = max(-dimension.low, dimension.high)
             label = {"yaw_acceleration": "steering"}.get(dimension.name, "throttle")
-            number = "-" if math.isnan(value) else _signed(value, 2, dimension.unit.replace("^2", "²"))
+            number = (
+                "-" if math.isnan(value) else _signed(value, 2, dimension.unit.replace("^2", "²"))
+            )
             part.bar(label, number, 0.0 if math.isnan(value) else value / bound, SAFE_GAP)
 
-    def _gap(self, rows: Rows, row: int, name: str) -> str:
+    def _gap(self, rows: Rows, row: np.void, name: str) -> str:
         """Bumper to bumper."""
-        found = np.flatnonzero(rows["vehicle"] == rows[name][row])
-        if rows[name][row] == NONE or not found.size:
+        found = np.flatnonzero(rows["vehicle"] == row[name])
+        if row[name] == NONE or not found.size:
             return "free"
-        distance = abs(float(rows["position"][found[0]]) - float(rows["position"][row]))
+        distance = abs(float(rows["position"][found[0]]) - float(row["position"]))
         return f"{distance - self._scenario.vehicle.length:.1f} m"
 
     def _draw_reward(self, part: "_Part", frame: Frame, focus: Focus) -> None:
         part.write("Reward of the step", TEXT)
         if focus.row is None or np.isnan(frame.rows["reward"][focus.row]):
-            part.write("none: no command is live", MUTED)
+            part.write("none without a command", MUTED)
             return
         row = frame.rows[focus.row]
         for name in (*self._terms, "reward"):

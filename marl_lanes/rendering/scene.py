@@ -127,6 +127,8 @@ class Scene:
         margin = self._sprites.length
         is_seen = (x > -margin) & (x < camera.size[0] + margin)
         is_seen &= (y > -margin) & (y < camera.size[1] + margin)
+        # A road may turn so far that another piece of it would be in the picture.
+        is_seen &= (rows["position"] >= camera.reach[0]) & (rows["position"] <= camera.reach[1])
         seen = np.flatnonzero(is_seen)
         angle = (heading + rows["yaw"])[seen]
         return Cars(seen.tolist(), x[seen].tolist(), y[seen].tolist(), angle.tolist())

@@ -126,8 +126,11 @@ class Sprites:
         colour = CHANGER if look.is_changer else VEHICLE
         outline = outline_of(look.disposition)
         is_plain = look.disposition == Disposition.NEUTRAL
-        share = 0.07 if is_plain else 0.15
-        thickness = round(max(share * self.width, 0.8 if is_plain else 1.2) * self._factor)
+        if is_plain:
+            thin = 0.07 * self.width if self.width >= _MIN_WINDOWED else 0.0
+        else:
+            thin = max(0.15 * self.width, 1.2 if self.width >= _MIN_WINDOWED else 0.8)
+        thickness = round(thin * self._factor)
         radius = round(0.22 * body.height)
         # In smaller vehicles a pattern is no pattern any more.
         is_patterned = self.width >= _MIN_PATTERNED
@@ -180,7 +183,7 @@ def _draw_windows(surface: "pygame.Surface", body: "pygame.Rect") -> None:
 
 
 def _draw_brake_lights(surface: "pygame.Surface", body: "pygame.Rect") -> None:
-    length = round(max(0.10 * body.width, 0.2 * body.height))
+    length = round(0.26 * body.height)
     bar = pygame.Rect(body.left, body.top, length, round(0.36 * body.height))
     for top in (body.top, body.bottom - bar.height):
         bar.top = top

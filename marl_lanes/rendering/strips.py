@@ -45,7 +45,8 @@ class Strips:
         width = max(scenario.vehicle.width * self._across, _MIN_WIDTH)
         self._sprites = Sprites(length, width)
         # One that drives a lane change is a bit larger, so that one finds it.
-        self._large = Sprites(1.35 * length + 1.0, 1.35 * width + 1.0)
+        growth = 1.0 + 0.35 * min(length, 3.0 * width)
+        self._large = Sprites(length + growth, 1.0 + 1.35 * width)
 
     def draw_ground(self, surface: "pygame.Surface", lettering: Lettering) -> None:
         """Draw what stands still: lanes and positions."""
@@ -69,7 +70,7 @@ class Strips:
 
     def _label(self, surface: "pygame.Surface", lettering: Lettering, strip: Strip) -> None:
         small = self._layout.small
-        widest = lettering.measure(f"{self._length:.0f} m", small)[0]
+        widest = lettering.measure(_name(self._length), small)[0]
         step = next((step for step in _TICKS if step * self._along > 1.8 * widest), _TICKS[-1])
         first = math.ceil(strip.start / step - 1e-9)
         for number in range(first, math.floor(strip.end / step + 1e-9) + 1):
@@ -77,7 +78,7 @@ class Strips:
             surface.fill(MUTED, (round(x), strip.rect.top - 4, 1, 4))
             lettering.put(
                 surface,
-                f"{number * step:.0f} m",
+                _name(number * step),
                 (x, strip.rect.top - 4),
                 small,
                 MUTED,
@@ -126,3 +127,10 @@ class Strips:
         width = max(round((end - start) * self._along), 2)
         window = pygame.Rect(x, strip.rect.top - 2, width, strip.rect.height + 4)
         pygame.draw.rect(surface, mix(GRID, MARKING, 0.55), window, 1)
+
+
+def _name(position: float) -> str:
+    """A position in metres, or in kilometres where these are shorter."""
+    if position >= 10_000.0 and position % 100.0 == 0.0:
+        return f"{position / 1000.0:g} km"
+    return f"{position:.0f} m"
