@@ -16,6 +16,7 @@ from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.traffic.roles.changer import FEATURES
 from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
+from marl_lanes.trajectory.columns import COLUMNS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -133,6 +134,15 @@ def test_every_metric_is_documented():
     measured = set(summarise([lane_change()]))
     assert len(measured) > 25
     assert documented == measured
+
+
+def test_every_column_of_a_trajectory_is_documented():
+    rows = re.findall(
+        r"^\| `([^`]+)` \| [^|]* \| ([^|]*) \| (.*) \|$",
+        text_of(DOCS / "trajectories.md"),
+        re.MULTILINE,
+    )
+    assert rows == [(column.name, column.unit, column.meaning) for column in COLUMNS]
 
 
 def test_every_module_has_its_sentence():

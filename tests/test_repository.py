@@ -54,7 +54,7 @@ def tracked():
 
 
 def requirements():
-    lists = [PROJECT["dependencies"], EXTRAS["train"], EXTRAS["dev"]]
+    lists = [PROJECT["dependencies"], *(EXTRAS[name] for name in ("view", "train", "dev"))]
     parsed = {Requirement(text) for lines in lists for text in lines}
     return sorted((one for one in parsed if one.name != PROJECT["name"]), key=str)
 

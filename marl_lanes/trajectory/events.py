@@ -58,10 +58,12 @@ def find_events(rows: Rows) -> list[Event]:
     Args:
         rows: (N,) ROW of one road, in any order.
     """
+    if not rows.size:
+        return []
     rows, is_first = _by_vehicle(rows)
     # Of the vehicle's row before; a vehicle's first row has none.
     before = np.maximum(np.arange(rows.size) - 1, 0)
-    is_new = ~is_first | (rows["step"] > rows["step"].min(initial=0))
+    is_new = ~is_first | (rows["step"] > rows["step"].min())
     command, phase, outcome = rows["command"], rows["phase"], rows["outcome"]
     was_command = np.where(is_first, NONE, command[before])
     was_phase = np.where(is_first, Phase.ABSENT, phase[before])
@@ -104,6 +106,8 @@ def find_commands(rows: Rows) -> list[Command]:
         if event.kind == "engaged" and event.command is not None:
             engaged.setdefault(event.command, []).append(event.step)
     commanded = rows[rows["command"] != NONE]
+    if not commanded.size:
+        return []
     commanded = commanded[np.lexsort((commanded["step"], commanded["command"]))]
     numbers, starts = np.unique(commanded["command"], return_index=True)
     stops = [*starts.tolist()[1:], commanded.size]
@@ -135,4 +139,4 @@ def _by_vehicle(rows: Rows) -> tuple[Rows, NDArray[np.bool_]]:
 def _last_commands(command: NDArray[np.int32], is_first: NDArray[np.bool_]) -> NDArray[np.int32]:
     """For each row the vehicle's command then, or else its last one before; NONE if it had none."""
     marks = np.where((command != NONE) | is_first, np.arange(command.size), 0)
-    return np.asarray(command[np.maximum.accumulate(marks)]) if command.size else command
+    return np.asarray(command[np.maximum.accumulate(marks)])

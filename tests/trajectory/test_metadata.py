@@ -1,0 +1,33 @@
+import json
+
+import pytest
+
+from marl_lanes import load_scenario
+from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
+
+
+def fields(**changes):
+    found = json.loads(Metadata(load_scenario("curved"), 7, "some policy", "1.2").dumps())
+    return json.dumps(found | changes)
+
+
+def test_it_comes_back():
+    scenario = load_scenario("interactive", {"followers": {"mix": {"mine": 1.0}}})
+    metadata = Metadata(scenario, 2**63, "runs/paper/checkpoints/final.pt")
+    assert Metadata.loads(metadata.dumps()) == metadata
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not readable as JSON"),
+        ("[]", "must be a mapping"),
+        (fields(format=99), "format = 99: must be 1"),
+        (fields(seed="0"), "seed = '0'"),
+        (fields(policy=None), "policy = None"),
+        (fields(scenario={"name": "x", "road": {"num_lanes": 99}}), r"road.num_lanes = 99"),
+    ],
+)
+def test_other_metadata_is_refused(text, message):
+    with pytest.raises(TrajectoryError, match=message):
+        Metadata.loads(text)
