@@ -75,7 +75,7 @@ class Window:
         self._is_paused = False
         self._is_stepping = False
         self._message = ""
-        self._shown_at = -math.inf
+        self._shown_at: float | None = None
         self._painter: Painter | None = None
         self._frame: Frame | None = None
         self._picture: pygame.Surface | None = None
@@ -96,9 +96,11 @@ class Window:
         self._is_stepping = False
         self._draw()
         now = time.perf_counter()
-        due = self._shown_at + self._period
-        # The delays of single steps do not add up, but lost time is not made up.
-        self._shown_at = due if due <= now < due + self._period else now
+        if self._shown_at is None:
+            self._shown_at = now
+        else:
+            # The delays of single steps do not add up, but lost time is not made up.
+            self._shown_at = max(self._shown_at + self._period, now - self._period)
         self.attend()
         while self.is_open and (wait := self._find_wait()) > 0:
             _deliver([pygame.event.wait(wait)])
@@ -135,6 +137,8 @@ class Window:
         """Until the next step [ms]; 0 if it is due."""
         if self._is_paused:
             return 0 if self._is_stepping else _PATIENCE
+        if self._shown_at is None:
+            return 0
         left = self._shown_at + self._period - time.perf_counter()
         return max(math.ceil(1000.0 * left), 0)
 
@@ -144,6 +148,7 @@ class Window:
             self.close()
         elif key == pygame.K_SPACE:
             self._is_paused = not self._is_paused
+            self._shown_at = time.perf_counter()
         elif letter == ".":
             self._is_paused = self._is_stepping = True
         elif letter in ("+", "=", "-"):

@@ -3,7 +3,7 @@
 import os
 import shutil
 import subprocess
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pygame
@@ -111,14 +111,36 @@ def test_the_bar_names_keys_that_fit_it(size):
     assert len(texts) == 8 if size == (1280, 720) else len(texts) >= 3
 
 
+@pytest.fixture
+def clock(monkeypatch):
+    """Time passes only where the window waits, and where the test says so; [now] in seconds."""
+    now = [100.0]
+
+    def wait(timeout):
+        now[0] += 0.001 * timeout
+        return pygame.event.Event(pygame.NOEVENT)
+
+    monkeypatch.setattr(pygame.event, "wait", wait)
+    monkeypatch.setattr(
+        "marl_lanes.rendering.window.time", SimpleNamespace(perf_counter=lambda: now[0])
+    )
+    return now
+
+
 @pytest.mark.usefixtures("screenless")
-def test_a_step_is_shown_for_its_time():
+def test_a_step_is_shown_for_its_time(clock):
     window, painter = open_window(ViewOptions(size=(320, 180), speed=2.0))
-    start = time.perf_counter()
-    for _ in range(10):
+    assert clock[0] == pytest.approx(100.05, abs=0.001)
+    for _ in range(20):
+        clock[0] += 0.03
         window.show(painter, FRAME)
-    took = time.perf_counter() - start
-    assert 0.5 <= took + 0.005 < 0.5 + 0.3
+    assert clock[0] == pytest.approx(101.05, abs=0.002)
+    # A slow policy is not slowed down, and the time that it loses is not made up.
+    clock[0] += 0.4
+    window.show(painter, FRAME)
+    assert clock[0] == pytest.approx(101.45, abs=0.002)
+    window.show(painter, FRAME)
+    assert clock[0] == pytest.approx(101.50, abs=0.002)
 
 
 @pytest.mark.usefixtures("screenless")
@@ -199,13 +221,13 @@ def test_a_click_follows_the_vehicle_at_its_place():
         pygame.event.post(pygame.event.Event(pygame.MOUSEBUTTONDOWN, place))
         window.attend()
 
-    first, *_, last = (strip.rect for strip in painter.layout.strips)
-    for view in (painter.layout.camera, last, first, painter.layout.camera):
+    camera, strip = painter.layout.camera, painter.layout.strips[0].rect
+    for view, find in ((camera, np.argmax), (strip, np.argmax), (strip, np.argmin)):
         picture = contents(window)[view.top : view.bottom].astype(int)
         red, green, blue = np.moveaxis(picture, -1, 0)
         rows, columns = np.nonzero(np.minimum(red, green) - blue > 60)
-        before, pixel = painter.followed, np.argmax(columns)
-        click(columns[pixel] - 2, rows[pixel] + view.top)
+        before, pixel = painter.followed, find(columns)
+        click(columns[pixel], rows[pixel] + view.top)
         assert painter.followed != before
         assert FRAME.rows["phase"][FRAME.rows["vehicle"] == painter.followed] == [0]
     before = painter.followed
