@@ -45,9 +45,9 @@ class Painter:
         self.options = options if options is not None else ViewOptions()
         self.layout = make_layout(scenario, self.options)
         self.lettering = Lettering()
-        self._camera = Camera(scenario, self.layout.camera.size, self.options.span)
+        self.camera = Camera(scenario, self.layout.camera.size, self.options.span)
         self._spotlight = Spotlight(self.options)
-        self._scene = Scene(scenario, self.layout, self._camera, self.lettering)
+        self._scene = Scene(scenario, self.layout, self.camera, self.lettering)
         self._strips = Strips(scenario, self.layout)
         self._panel = Panel(scenario, self.layout, self.lettering, title, self.options.speed)
         self._legend = Legend(scenario, self.layout, self.lettering)
@@ -58,11 +58,11 @@ class Painter:
         """The picture of a frame, (height, width, 3) uint8."""
         focus = self._spotlight.look(frame)
         incidents = self._spotlight.incidents
-        self._camera.look_at(focus.position)
+        self.camera.look_at(focus.position)
         self.lettering.begin()
         self._surface.blit(self._ground, (0, 0))
         self._panel.draw(self._surface, frame, focus, incidents)
-        self._strips.draw(self._surface, frame, focus, self._camera)
+        self._strips.draw(self._surface, frame, focus, self.camera)
         self._scene.draw(self._surface, frame, focus, incidents)
         return self._read()
 
