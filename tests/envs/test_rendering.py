@@ -157,6 +157,23 @@ def test_an_array_is_the_picture_of_the_state_until_the_next_step(size):
     assert not np.array_equal(pictures[1], pictures[2])
 
 
+def test_a_seed_gives_the_same_pictures_in_any_episode():
+    def film(road):
+        observations, _ = road.reset(seed=3)
+        pictures = [road.render()]
+        while len(pictures) < 40:
+            actions = {agent: steer(observations[agent]) for agent in road.agents}
+            observations = road.step(actions)[0]
+            pictures.append(road.render())
+        return np.stack(pictures)
+
+    used, fresh = (parallel_env("dense", "rgb_array", view=SMALL) for _ in range(2))
+    drive(used, steps=5, seed=4)
+    first = film(used)
+    assert np.array_equal(film(used), first)
+    assert np.array_equal(film(fresh), first)
+
+
 def test_a_lane_change_is_seen():
     road = parallel_env("paper", "rgb_array", view=ViewOptions(follow="changer_0"))
     painter = Painter(road.scenario)
@@ -351,6 +368,34 @@ def test_a_chosen_road_of_the_torchrl_environment():
     for road in (-1, 3):
         with pytest.raises(ValueError, match=f"road = {road}: must be 0 to 2"):
             roads.render(road)
+
+
+def test_the_first_picture_of_an_episode_knows_nothing_of_the_last_one():
+    used = LaneChangeEnv("paper", render_mode="rgb_array", view=SMALL)
+    for seed in range(6):
+        fresh = LaneChangeEnv("paper", seed=seed, render_mode="rgb_array", view=SMALL)
+        used.set_seed(seed)
+        for one in (used, fresh):
+            one.reset()
+        assert np.array_equal(used.render(), fresh.render())
+
+
+def test_the_torchrl_environment_shows_what_a_step_has_removed_and_the_actions(frames):
+    overrides = {**BUSY, "num_agents": None, "horizon": None}
+    roads = LaneChangeEnv("dense", 2, render_mode="rgb_array", view=SMALL, overrides=overrides)
+    state = roads.reset()
+    ended = shown = acted = 0
+    for _ in range(150):
+        roads.render(1)
+        state["changers", "action"] = torch.full((2, roads.simulator.num_slots, 1), 0.5)
+        state = roads.step(state)["next"]
+        ended += int((state["changers", "outcome"][1] == Outcome.OFF_ROAD).sum())
+        roads.render(1)
+        shown += int((frames[-1].rows["fate"] == Fate.STRAYS).sum())
+        acted += int((frames[-1].rows["action_yaw_acceleration"] == 0.5).sum())
+    assert shown == ended > 0
+    assert acted > 20
+    assert [frame.step for frame in frames] == list(range(151))
 
 
 def test_a_reset_or_a_restored_state_of_a_road_is_seen():
