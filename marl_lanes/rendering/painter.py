@@ -91,9 +91,9 @@ class Painter:
         """
         rows, view, reach = frame.rows, self.layout.camera, _REACH
         if view.collidepoint(place):
-            x, y, _ = self._camera.place(rows["position"], rows["lateral_position"])
+            x, y, _ = self.camera.place(rows["position"], rows["lateral_position"])
             x, y = x + view.left, y + view.top
-            reach = max(0.5 * frame.scenario.vehicle.length * self._camera.scale, reach)
+            reach = max(0.5 * frame.scenario.vehicle.length * self.camera.scale, reach)
         else:
             x, y = self._strips.place(rows)
         distance = np.hypot(x - place[0], y - place[1])
