@@ -13,8 +13,9 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
 from marl_lanes.envs.followers import find_policies
+from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_table
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
-from marl_lanes.traffic.machine.state import NONE, Outcome, Phase, truncates
+from marl_lanes.traffic.machine.state import Outcome, Phase, truncates
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
@@ -22,18 +23,6 @@ from marl_lanes.traffic.simulator import Simulator
 
 if TYPE_CHECKING:
     from marl_lanes.envs.rendering import Renderer, View
-
-STATE_COLUMNS = (
-    "position",
-    "lateral_position",
-    "speed",
-    "acceleration",
-    "yaw",
-    "yaw_rate",
-    "agent",
-)
-"""Columns of ``state()``: fields of the vehicle table; ``agent`` is the serial number of the
-vehicle's command, -1 if it has none."""
 
 _TRUNCATING = {int(outcome) for outcome in Outcome if truncates(outcome)}
 
@@ -297,15 +286,7 @@ class LaneChangeParallelEnv(ParallelEnv):
 
         The columns are STATE_COLUMNS; rows without a vehicle are zero, with agent -1.
         """
-        rows = np.zeros(self.state_space.shape, np.float32)
-        count = int(self.simulator.roads["num_vehicles"][0])
-        cars = self.simulator.vehicles[0, self.simulator.state.order[0, :count]]
-        for column, name in enumerate(STATE_COLUMNS[:-1]):
-            rows[:count, column] = cars[name]
-        commands = self.simulator.agents["command"][0, cars["agent"]]
-        rows[:count, -1] = np.where(cars["agent"] == NONE, NONE, commands)
-        rows[count:, -1] = NONE
-        return rows
+        return read_vehicle_table(self.simulator)
 
     def close(self) -> None:
         """Close the window for good; the environment can be used on, unshown."""
