@@ -53,6 +53,9 @@ class Painter:
         self._legend = Legend(scenario, self.layout, self.lettering)
         self._surface = pygame.Surface(self.options.size, depth=32)
         self._ground = self._draw_ground()
+        top = self.layout.camera.bottom
+        # The camera's view is drawn anew as a whole.
+        self._below = pygame.Rect(0, top, self.options.size[0], self.options.size[1] - top)
 
     def draw(self, frame: Frame) -> Picture:
         """The picture of a frame, (height, width, 3) uint8."""
@@ -60,7 +63,7 @@ class Painter:
         incidents = self._spotlight.incidents
         self.camera.look_at(focus.position)
         self.lettering.begin()
-        self._surface.blit(self._ground, (0, 0))
+        self._surface.blit(self._ground, self._below.topleft, self._below)
         self._panel.draw(self._surface, frame, focus, incidents)
         self._strips.draw(self._surface, frame, focus, self.camera)
         self._scene.draw(self._surface, frame, focus, incidents)
@@ -112,9 +115,8 @@ class Painter:
 
     def _read(self) -> Picture:
         width, height = self.options.size
-        packed = pygame.surfarray.pixels2d(self._surface).T
-        channels = packed.view(np.uint8).reshape(height, width, 4)
         picture = np.empty((height, width, 3), np.uint8)
-        for index in range(3):
-            picture[:, :, index] = channels[:, :, 2 - index]
+        # A surface over the array's memory: pygame drops the fourth byte faster than numpy.
+        target = pygame.image.frombuffer(picture.data.cast("B"), (width, height), "RGB")
+        target.blit(self._surface, (0, 0))
         return picture

@@ -118,7 +118,7 @@ class Panel:
             part.pair(f"to the {side}", f"lane {row['origin_lane']} to {row['target_lane']}")
         else:
             part.pair("vehicle", f"{row['vehicle']}")
-        part.pair("speed", f"{row['speed']:.1f} m/s")
+        part.pair("speed", f"{row['speed']:.1f} m/s, {3.6 * row['speed']:.0f} km/h")
         part.pair("acceleration", _signed(row["acceleration"], 1, "m/s²"))
         if not is_live:
             part.pair("lane", f"{row['lane']}")

@@ -24,8 +24,8 @@ PHASES = 4
 _MAX_KEPT = 8192
 """Pictures; beyond that all are drawn anew."""
 
-_MIN_WINDOWED, _MIN_PATTERNED = 5.0, 7.0
-"""[pixel] Least widths of vehicles with windows, and with patterned outlines."""
+_MIN_OUTLINED, _MIN_PATTERNED = 5.0, 7.0
+"""[pixel] Least widths of vehicles with outlines and windows, and with patterned outlines."""
 
 _BLACK = (12, 14, 17)
 _GLASS = (38, 46, 58)
@@ -111,7 +111,7 @@ class Sprites:
         body.center = (size[0] // 2, size[1] // 2)
         thickness = self._draw_body(surface, body, look)
         inner = body.inflate(-2 * thickness, -2 * thickness)
-        if self.width >= _MIN_WINDOWED:
+        if self.width >= _MIN_OUTLINED and self.length > 1.5 * self.width:
             _draw_windows(surface, inner)
         if look.is_braking:
             _draw_brake_lights(surface, body)
@@ -126,11 +126,9 @@ class Sprites:
         colour = CHANGER if look.is_changer else VEHICLE
         outline = outline_of(look.disposition)
         is_plain = look.disposition == Disposition.NEUTRAL
-        if self.width < _MIN_WINDOWED:
-            thin = 0.0 if is_plain else 0.2 * self.width
-        else:
-            thin = 0.07 * self.width if is_plain else max(0.15 * self.width, 1.2)
-        thickness = round(thin * self._factor)
+        # In smaller vehicles the outline's colour would mix with the body's.
+        thin = 0.07 * self.width if is_plain else max(0.15 * self.width, 1.2)
+        thickness = round(thin * self._factor) if self.width >= _MIN_OUTLINED else 0
         radius = round(0.22 * body.height)
         # In smaller vehicles a pattern is no pattern any more.
         is_patterned = self.width >= _MIN_PATTERNED

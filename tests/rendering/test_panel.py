@@ -51,7 +51,7 @@ def test_the_numbers_of_the_followed_agent():
     assert texts[6:8] == ["engaged", "changer_3"]
     expected = {
         "to the right": "lane 1 to 0",
-        "speed": "25.0 m/s",
+        "speed": "25.0 m/s, 90 km/h",
         "acceleration": "0.0 m/s²",
         "gap ahead": "25.2 m",
         "gap behind": "15.2 m",

@@ -125,7 +125,7 @@ def test_every_size_shows_the_body(size, disposition):
     sprites = Sprites(*size)
     picture, _ = sprites.find(Look(disposition=disposition), 0.0, 0.0, 0.0)
     shown = pygame.surfarray.array3d(picture)
-    assert is_colour(shown, VEHICLE, 120).any()
+    assert is_colour(shown, VEHICLE, 60).any()
 
 
 def test_a_look_is_drawn_once():
