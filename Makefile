@@ -2,7 +2,8 @@
 # make check  - linters, import contract, type checker, the tests that neither train nor take long
 # make test   - the same with all tests
 # make figures - draw the figures of docs/ anew, in half a minute
-# make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch
+# make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
+#                  pictures with highway-env's
 # Each sets up .venv when it is missing or out of date.
 
 PYTHON ?= python3
@@ -50,6 +51,7 @@ benchmark: $(VENV)/installed
 	$(BIN)/python benchmarks/start.py $(ARGS)
 	$(BIN)/python benchmarks/naf_update.py $(ARGS)
 	$(BIN)/python benchmarks/policy_step.py $(ARGS)
+	$(BIN)/python benchmarks/rendering.py $(ARGS)
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

@@ -7,6 +7,7 @@ import importlib.util
 import random
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from turns import Contestant, Rate
@@ -20,12 +21,14 @@ def is_installed(package: str) -> bool:
     return importlib.util.find_spec(package) is not None
 
 
-def make_highway_env(num_vehicles: int) -> Contestant:
-    """highway-v0 with ``num_vehicles`` (one of them acts), a continuous action of zero, 10 Hz."""
+def open_highway_env(
+    num_vehicles: int, render_mode: str | None = None, config: dict[str, Any] | None = None
+) -> Any:
+    """highway-v0 with ``num_vehicles`` (one of them acts), a continuous action, 10 Hz."""
     import gymnasium
     import highway_env  # noqa: F401 - registers its environments
 
-    config = {
+    traffic = {
         "action": {"type": "ContinuousAction"},
         "lanes_count": 3,
         "vehicles_count": num_vehicles - 1,
@@ -33,7 +36,17 @@ def make_highway_env(num_vehicles: int) -> Contestant:
         "policy_frequency": 10,
         "duration": 40,
     }
-    env = gymnasium.make("highway-v0", config=config, disable_env_checker=True)
+    return gymnasium.make(
+        "highway-v0",
+        config={**traffic, **(config or {})},
+        render_mode=render_mode,
+        disable_env_checker=True,
+    )
+
+
+def make_highway_env(num_vehicles: int) -> Contestant:
+    """highway-v0 with actions of zero."""
+    env = open_highway_env(num_vehicles)
     env.reset(seed=0)
     zero = np.zeros(2, np.float32)
 

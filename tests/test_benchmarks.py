@@ -1,4 +1,4 @@
-"""Benchmarks that train run to their end; their figures need an idle machine."""
+"""Benchmarks that train or render run to their end; their figures need an idle machine."""
 
 import json
 import subprocess
@@ -24,3 +24,17 @@ def test_a_policy_step_and_the_split_of_a_training(tmp_path):
         microseconds, share = split["simulate"]
         assert microseconds > 0.0
         assert 0.0 < share < 1.0
+
+
+@pytest.mark.training
+def test_the_pictures_of_a_second(tmp_path):
+    file = tmp_path / "figures.json"
+    program = [sys.executable, str(BENCHMARKS / "rendering.py")]
+    options = ["--rounds", "1", "--json", str(file)]
+    done = subprocess.run([*program, *options], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(file.read_text(encoding="utf-8"))
+    for size in ("1280x720", "600x180"):
+        row = figures[f"parallel_env {size}"]
+        assert 1.0 < row["with_steps"] < row["alone"]
+        assert f"{size} " in done.stdout

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,6 +22,9 @@ from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.role import Bounds
 from marl_lanes.traffic.simulator import Simulator
+
+if TYPE_CHECKING:
+    from marl_lanes.envs.rendering import Renderer, View
 
 _ENDS = ("done", "terminated", "truncated")
 _CPU = torch.device("cpu")
@@ -82,6 +85,9 @@ class LaneChangeEnv(EnvBase):
         follower_policies: policies by their name in ``followers.mix``; they have priority over
             registered ones.
         first_road: index of the first road within the seed's roads, as for ``Simulator``.
+        render_mode: None, or "rgb_array": ``render`` returns a picture of a road.
+        view: how a road is shown, ``ViewOptions`` or a mapping of its fields; not used where
+            render_mode is None.
 
     Attributes:
         seconds: wall time of its steps and resets so far, without TorchRL's work around them.
@@ -89,6 +95,7 @@ class LaneChangeEnv(EnvBase):
     Raises:
         ScenarioError: the scenario is invalid, or a follower of its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
+        MissingExtraError: render_mode needs the extra ``view``, which is not installed.
         ValueError: another argument is out of range.
     """
 
@@ -106,7 +113,11 @@ class LaneChangeEnv(EnvBase):
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
         first_road: int = 0,
+        render_mode: str | None = None,
+        view: "View" = None,
     ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode = {render_mode!r}: must be None or 'rgb_array'")
         loaded = load_scenario(scenario, overrides)
         self.simulator = Simulator(
             loaded,
@@ -127,6 +138,11 @@ class LaneChangeEnv(EnvBase):
             for role in self.roles
         }
         self._is_restored = False
+        self.render_mode = render_mode
+        self._view = view
+        self._renderers: dict[int, Renderer] = {}
+        if render_mode is not None:
+            self._find_renderer(0)
         self._make_specs()
 
     def restore(self, snapshot: bytes) -> None:
@@ -140,6 +156,37 @@ class LaneChangeEnv(EnvBase):
         """
         self.simulator.restore(snapshot)
         self._is_restored = True
+        for renderer in self._renderers.values():
+            renderer.restart()
+
+    def render(self, road: int = 0) -> NDArray[np.uint8]:
+        """A road as it is now.
+
+        The first picture of a road other than 0 lacks what only the step before it knew: the
+        vehicles that the step removed, and the actions.
+
+        Args:
+            road: index of the road within the environment, 0 to E - 1.
+
+        Returns:
+            (H, W, 3) uint8, the same bytes until the next step.
+
+        Raises:
+            ValueError: there is no such road, or the environment has no render_mode.
+        """
+        if self.render_mode is None:
+            raise ValueError(
+                "render: render_mode = None: make the environment with render_mode='rgb_array'"
+            )
+        return self._find_renderer(road).render()
+
+    def _find_renderer(self, road: int) -> "Renderer":
+        if road not in self._renderers:
+            # Imported here, because an environment that shows nothing needs none of it.
+            from marl_lanes.envs.rendering import Renderer
+
+            self._renderers[road] = Renderer(self.simulator, road, self._view)
+        return self._renderers[road]
 
     def _make_specs(self) -> None:
         num_envs, num_slots = self.simulator.num_envs, self.simulator.num_slots
@@ -203,6 +250,9 @@ class LaneChangeEnv(EnvBase):
             mask = tensordict["_reset"].reshape(self.simulator.num_envs).cpu().numpy()
         if mask is not None or not self._is_restored:
             self.simulator.reset(mask)
+            for road, renderer in self._renderers.items():
+                if mask is None or mask[road]:
+                    renderer.restart()
         groups = self._read_out()
         for columns in groups.values():
             for key in ("reward", *_ENDS):
@@ -214,6 +264,8 @@ class LaneChangeEnv(EnvBase):
         if self._is_restored:
             self._is_restored = False
         simulator = self.simulator
+        for renderer in self._renderers.values():
+            renderer.note()
         simulator.step(
             *(tensordict[role.group, "action"].detach().cpu().numpy() for role in self.roles)
         )

@@ -3,33 +3,26 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
+from gymnasium import logger
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
 from marl_lanes.envs.followers import find_policies
+from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_table
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
-from marl_lanes.traffic.machine.state import NONE, Outcome, Phase, truncates
+from marl_lanes.traffic.machine.state import Outcome, Phase, truncates
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.simulator import Simulator
 
-STATE_COLUMNS = (
-    "position",
-    "lateral_position",
-    "speed",
-    "acceleration",
-    "yaw",
-    "yaw_rate",
-    "agent",
-)
-"""Columns of ``state()``: fields of the vehicle table; ``agent`` is the serial number of the
-vehicle's command, -1 if it has none."""
+if TYPE_CHECKING:
+    from marl_lanes.envs.rendering import Renderer, View
 
 _TRUNCATING = {int(outcome) for outcome in Outcome if truncates(outcome)}
 
@@ -52,6 +45,7 @@ class Options(TypedDict, total=False):
     overrides: Mapping[str, Any] | None
     learned_followers: bool
     follower_policies: Mapping[str, FollowerPolicy] | None
+    view: "View"
 
 
 Step = tuple[
@@ -85,7 +79,8 @@ class LaneChangeParallelEnv(ParallelEnv):
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
-        render_mode: must be None.
+        render_mode: None; "rgb_array": ``render`` returns a picture; "human": reset and step show
+            the road in a window, at ``render_fps``, also the time in which no agent is live.
         seed: of the random numbers, until ``reset(seed=...)`` sets another; a reset without a seed
             continues the stream.
         fixed_agents: every dict contains all possible agents, absent ones with zeros, as TorchRL's
@@ -95,33 +90,42 @@ class LaneChangeParallelEnv(ParallelEnv):
             or all drivers if the mix has no ``learned``.
         follower_policies: policies by their name in ``followers.mix``; they have priority over
             registered ones.
+        view: how the road is shown, ``ViewOptions`` or a mapping of its fields; not used where
+            render_mode is None.
+
+    Attributes:
+        metadata: PettingZoo's; ``render_fps`` is the number of time steps in a second.
 
     Raises:
         ScenarioError: the scenario is invalid, has no end (``num_agents: null``), or a follower of
             its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
+        MissingExtraError: render_mode needs the extra ``view``, which is not installed.
         ValueError: another argument is out of range.
     """
 
-    metadata = {  # noqa: RUF012 - PettingZoo reads it off the class
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads it off the class
         "name": "lane_change_v0",
-        "render_modes": [],
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 1.0 / Scenario.model_fields["time_step"].default,
         "is_parallelizable": True,
     }
 
     def __init__(
         self,
         scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
-        render_mode: None = None,
+        render_mode: str | None = None,
         *,
         seed: int = 0,
         fixed_agents: bool = False,
         overrides: Mapping[str, Any] | None = None,
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
+        view: "View" = None,
     ) -> None:
-        if render_mode is not None:
-            raise ValueError(f"render_mode = {render_mode!r}: must be None")
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            raise ValueError(f"render_mode = {render_mode!r}: must be None or one of {modes}")
         loaded = load_scenario(scenario, overrides)
         self.simulator = Simulator(
             loaded,
@@ -140,6 +144,8 @@ class LaneChangeParallelEnv(ParallelEnv):
                 f"{self.scenario.command.probability})"
             )
         self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": 1.0 / self.scenario.time_step}
+        self._renderer = self._make_renderer(view)
         self.fixed_agents = fixed_agents
         self.agents: list[str] = []
         self._names = {
@@ -172,6 +178,14 @@ class LaneChangeParallelEnv(ParallelEnv):
         self._told = [table[name] for name in _FIELDS]
         self._told += [table["terms"][:, index] for index in range(len(CHANGER.terms))]
 
+    def _make_renderer(self, view: "View") -> "Renderer | None":
+        if self.render_mode is None:
+            return None
+        # Imported here, because an environment that shows nothing needs none of it.
+        from marl_lanes.envs.rendering import Renderer
+
+        return Renderer(self.simulator, 0, view, has_window=self.render_mode == "human")
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         # The views of a copy must belong to its own road.
         self.__dict__.update(state)
@@ -195,15 +209,25 @@ class LaneChangeParallelEnv(ParallelEnv):
         Args:
             seed: 0 to 2^64 - 1; None continues the stream of the last seed.
             options: not used.
+
+        Raises:
+            DisplayError: render_mode is "human", and there is no display.
+            ValueError: the seed is out of range.
         """
+        if self._renderer is not None:
+            self._renderer.open()
         if seed is not None:
             self.simulator.seed(seed)
         self.simulator.reset()
-        self.simulator.advance_until_live()
+        if self._renderer is not None:
+            self._renderer.restart()
+        self._advance_until_live()
         self._finished.clear()
         self._slots = {}
         result = self._absent()
         self._collect(result)
+        if self._renderer is not None:
+            self._renderer.show()
         return result[0], result[4]
 
     def step(self, actions: Mapping[str, Any]) -> Step:
@@ -224,34 +248,60 @@ class LaneChangeParallelEnv(ParallelEnv):
             is_changer = self._role_of[agent] is CHANGER
             buffer = simulator.actions if is_changer else simulator.follower_actions
             buffer[0, self._slots[agent]] = value
+        if self._renderer is not None:
+            self._renderer.note()
         simulator.advance()
         result = self._absent()
         self._collect(result)
         if not self.agents and not self._is_done[0]:
             # The agents that have just ended stay in the dicts; new ones are added.
-            self.simulator.advance_until_live()
+            self._advance_until_live()
             self._collect(result)
         if not self.agents:
             self._close_episode(result)
+        if self._renderer is not None:
+            self._renderer.show()
         return result
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The road as it is now.
+
+        Returns:
+            (H, W, 3) uint8 if render_mode is "rgb_array"; the same bytes until the next step.
+            None if it is "human", where reset and step show the road, or None, with a warning.
+        """
+        if self._renderer is None:
+            logger.warn(
+                "You are calling render method without specifying any render mode. Make the "
+                'environment with render_mode="rgb_array" or "human".'
+            )
+            return None
+        if self.render_mode == "human":
+            self._renderer.attend()
+            return None
+        return self._renderer.render()
 
     def state(self) -> NDArray[np.float32]:
         """Every vehicle on the road by decreasing position, (max_vehicles, columns) float32.
 
         The columns are STATE_COLUMNS; rows without a vehicle are zero, with agent -1.
         """
-        rows = np.zeros(self.state_space.shape, np.float32)
-        count = int(self.simulator.roads["num_vehicles"][0])
-        cars = self.simulator.vehicles[0, self.simulator.state.order[0, :count]]
-        for column, name in enumerate(STATE_COLUMNS[:-1]):
-            rows[:count, column] = cars[name]
-        commands = self.simulator.agents["command"][0, cars["agent"]]
-        rows[:count, -1] = np.where(cars["agent"] == NONE, NONE, commands)
-        rows[count:, -1] = NONE
-        return rows
+        return read_vehicle_table(self.simulator)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Close the window for good; the environment can be used on, unshown."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def _advance_until_live(self) -> None:
+        """Advance until an agent is live or the episode is over; an open window shows it."""
+        renderer, road = self._renderer, self.simulator.roads
+        if renderer is not None:
+            while renderer.is_open and not (road["num_live"][0] or road["is_done"][0]):
+                renderer.show()
+                renderer.note()
+                self.simulator.advance()
+        self.simulator.advance_until_live()
 
     def _read_action(self, agent: str, actions: Mapping[str, Any]) -> list[float]:
         try:
@@ -338,7 +388,7 @@ class LaneChangeParallelEnv(ParallelEnv):
 
 def parallel_env(
     scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
-    render_mode: None = None,
+    render_mode: str | None = None,
     **options: Unpack[Options],
 ) -> LaneChangeParallelEnv:
     """The parallel environment; arguments as for ``LaneChangeParallelEnv``."""
@@ -347,7 +397,7 @@ def parallel_env(
 
 def env(
     scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
-    render_mode: None = None,
+    render_mode: str | None = None,
     **options: Unpack[Options],
 ) -> AECEnv:
     """The same environment in PettingZoo's AEC (agent-environment-cycle) form."""

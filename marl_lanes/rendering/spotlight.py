@@ -1,5 +1,6 @@
 """Whom the camera follows, and what has just happened."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,10 +49,24 @@ class Spotlight:
     """
 
     def __init__(self, options: ViewOptions) -> None:
-        self._options = options
-        self._forget()
+        self._given = self._options = options
+        self.forget()
 
-    def _forget(self) -> None:
+    @property
+    def followed(self) -> int:
+        """Number of the followed vehicle; -1 if there is none."""
+        return self._vehicle
+
+    def follow(self, vehicle: int | None) -> None:
+        """Follow a vehicle from the next frame on; None: the one of most interest."""
+        self._options = replace(self._options, follow=vehicle)
+        self._until = -np.inf
+        if vehicle is None:
+            self._vehicle = NONE
+
+    def forget(self) -> None:
+        """Begin anew with the options as they were given."""
+        self._options = self._given
         self._road = self._step = NONE
         self._vehicle = NONE
         self._position, self._lane = 0.0, 0
@@ -63,7 +78,7 @@ class Spotlight:
     def look(self, frame: Frame) -> Focus:
         """The focus of the next frame of the road, or of the same again."""
         if frame.road != self._road or frame.step < self._step:
-            self._forget()
+            self.forget()
         self._note_incidents(frame)
         self._road, self._step = frame.road, frame.step
         self._vehicle = self._choose(frame)

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from marl_lanes import ScenarioError, env, list_scenarios, parallel_env
-from marl_lanes.envs.parallel import STATE_COLUMNS
-from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
+from marl_lanes.traffic.machine.state import Outcome, Phase
 
 with warnings.catch_warnings():
     # With pygame installed, PettingZoo's tests import one of its games in a deprecated way.
@@ -292,35 +291,8 @@ def test_long_random_rollouts_stay_in_the_spaces(scenario):
     assert (spread > 0.0).tolist() == [is_curved or name != "curvature" for name in features]
 
 
-def test_state_shows_every_vehicle_by_decreasing_position():
-    road = parallel_env("dense")
-    road.reset(seed=0)
-    commanded = set()
-    while road.agents:
-        state = road.state()
-        assert road.state_space.contains(state)
-        count = int(road.simulator.roads["num_vehicles"][0])
-        rows = dict(zip(STATE_COLUMNS, state.T, strict=True))
-        cars = road.simulator.vehicles[0]
-        present = cars[cars["id"] != NONE]
-        present = present[np.argsort(-present["position"], kind="stable")]
-        assert len(present) == count > 5
-        for name in STATE_COLUMNS[:-1]:
-            assert np.array_equal(rows[name][:count], present[name].astype(np.float32))
-        assert not state[count:, :-1].any()
-        assert (rows["agent"][count:] == NONE).all()
-        serials = rows["agent"][:count]
-        live = {f"changer_{int(serial)}" for serial in serials[serials != NONE]}
-        assert live == set(road.agents)
-        commanded |= live
-        road.step({agent: hold(None) for agent in road.agents})
-    assert commanded == set(road.possible_agents)
-
-
 def test_what_cannot_be_is_refused():
     for form in (parallel_env, env):
-        with pytest.raises(ValueError, match=r"render_mode = 'human'"):
-            form(render_mode="human")
         with pytest.raises(ScenarioError, match=r"needs num_agents \(is None\)"):
             form(overrides={"num_agents": None})
         with pytest.raises(ScenarioError, match=r"command\.probability > 0 \(is 0\.0\)"):
