@@ -169,6 +169,15 @@ def test_a_lost_vehicle_is_marked_in_the_step_that_removes_it(size):
     assert "changer_0 off road" in painter.lettering.texts
 
 
+def test_a_frame_that_is_not_drawn_is_remembered():
+    lost = {"position": 300.0, "command": 4, "outcome": Outcome.OFF_ROAD, "fate": Fate.STRAYS}
+    painter = Painter(STRAIGHT, {"size": (640, 360)})
+    painter.note(make_frame(commanded(299.0, command=4, phase=2)))
+    painter.note(make_frame(lost, step=1))
+    painter.draw(make_frame({"position": 500.0, "vehicle": 5}, step=2))
+    assert "changer_4 off road" in painter.lettering.texts
+
+
 def test_no_display_is_opened():
     Painter(STRAIGHT).draw(make_frame({"position": 100.0}))
     assert not pygame.display.get_init()
