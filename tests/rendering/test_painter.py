@@ -1,5 +1,8 @@
 import itertools
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -87,6 +90,40 @@ def test_the_same_frames_give_the_same_bytes():
     for picture, one, other in zip(pictures, again[::2], again[1::2], strict=True):
         assert picture.tobytes() == one.tobytes() == other.tobytes()
     assert pictures[0].tobytes() != pictures[5].tobytes()
+
+
+DRAW = """
+import hashlib, sys
+import pictures
+from marl_lanes.rendering.painter import Painter
+digest = hashlib.sha256()
+for scenario in (pictures.STRAIGHT, pictures.LEFT_BEND):
+    painter = Painter(scenario)
+    for step in range(12):
+        agent = pictures.commanded(
+            300.0 + 2.3 * step, phase=1 + step // 4, yaw=0.03, target_leader=1, target_follower=2
+        )
+        others = [{"position": place + 2.1 * step, "lane": 2} for place in (330.0, 270.0)]
+        lost = {"position": 310.0, "fate": 2 if step == 5 else 0}
+        digest.update(
+            painter.draw(pictures.make_frame(agent, *others, lost, scenario=scenario, step=step))
+        )
+sys.stdout.write(digest.hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_other_processes_give_the_same_bytes():
+    """What is drawn must not depend on what was in the memory before."""
+    paths = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", DRAW], capture_output=True, text=True, check=True, env=paths
+        ).stdout
+        for _ in range(4)
+    }
+    assert len(found) == 1
+    assert len(found.pop()) == 64
 
 
 def test_a_picture_is_not_overwritten_by_the_next():
