@@ -1,6 +1,7 @@
 """The camera: from places on the road to pixels, and from pixels to places on the road."""
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -102,19 +103,24 @@ class Camera:
             return (self.position + along)[None], (0.5 * self.road_width + across)[:, None]
         return self._find_nearest(*self._to_plane(_points(width), _points(height)))
 
-    def spread(self, grid: FloatArray) -> FloatArray:
-        """Values at the pixels' middles, from a grid of ``look_up`` or a function of it.
+    def spread(self, *grids: FloatArray) -> Iterator[tuple[slice, list[FloatArray]]]:
+        """Values at the pixels' middles, from grids of ``look_up`` or functions of them.
 
-        Returns:
-            float32; of the grid's shape where the road in the picture is straight, else
-            (height, width).
+        Yields:
+            bands of the picture from the top: rows of pixels, and for each grid float32 that
+            broadcasts to (rows, width). One band where the road in the picture is straight; else
+            bands so small that they stay in the processor's cache.
         """
-        single = grid.astype(np.float32)
-        if self._is_straight:
-            return single
         width, height = self.size
-        tall = _spread_columns(single.T)[:, :height]
-        return _spread_columns(tall.T)[:, :width]
+        single = [grid.astype(np.float32) for grid in grids]
+        if self._is_straight:
+            yield slice(0, height), single
+            return
+        for index, top in enumerate(range(0, height, _CELL)):
+            count = min(_CELL, height - top)
+            pairs = (grid[index : index + 2].T for grid in single)
+            bands = [_spread_columns(_spread_columns(pair)[:, :count].T) for pair in pairs]
+            yield slice(top, top + count), [band[:, :width] for band in bands]
 
     def _to_plane(self, columns: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Metres ahead of and to the left of the looked-at point."""

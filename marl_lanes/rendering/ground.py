@@ -44,6 +44,9 @@ _FINE = 4
 _INSET = 0.12
 """Of the gap's band from the lane's edges, in lane widths."""
 
+_END_STROKE = 0.2
+"""Half length of the strokes at the ends of a distance, in lane widths."""
+
 _PLAIN = 0.5
 """Share of the colour in an accepted gap."""
 
@@ -64,6 +67,8 @@ class Gap(NamedTuple):
     """Rear bumper of the target leader [m]."""
     colour: Colour
     is_hatched: bool
+    distances: tuple[tuple[float, float], ...] = ()
+    """From position to position [m], shown by lines along the lane."""
 
 
 class Ground:
@@ -99,29 +104,26 @@ class Ground:
         camera = self._camera
         position, lateral_position = camera.look_up()
         start = float(position.min())
-        place = camera.spread((position - start) * (self._scale * _FINE))
+        place = (position - start) * (self._scale * _FINE)
         row = np.clip((lateral_position - self._lowest) * (self._scale * _STEPS), 0, self._last_row)
-        row = camera.spread(row)
-        kind = self._classify(start, float(position.max()))[place.astype(np.intp)]
+        kinds = self._classify(start, float(position.max()))
         table = self._table(target_lane)
         pixels = pygame.surfarray.pixels2d(surface).T
-        if row.shape[1] == 1:
-            pixels[:] = table[row[:, 0].astype(np.intp)][:, kind[0]]
-        else:
-            index = row.astype(np.intp)
-            index *= table.shape[1]
-            kind += index
-            np.take(table.ravel(), kind, out=pixels, mode="clip")
-        if gap is not None:
-            rows, columns = self._bound(gap)
-            along = place[rows if place.shape[0] > 1 else ..., columns]
-            across = row[rows, columns if row.shape[1] > 1 else ...]
-            self._blend(
-                pixels[rows, columns],
-                start + along / (self._scale * _FINE),
-                self._lowest + across / (self._scale * _STEPS),
-                gap,
-            )
+        block = None if gap is None else self._bound(gap)
+        for band, (places, rows) in camera.spread(place, row):
+            index = rows.astype(np.intp) * table.shape[1]
+            pixels[band] = np.take(table, index + kinds.take(places.astype(np.intp)))
+            if gap is not None and block is not None:
+                within = slice(max(block[0].start, band.start), min(block[0].stop, band.stop))
+                tall = slice(within.start - band.start, max(within.stop - band.start, 0))
+                along = places[tall if places.shape[0] > 1 else ..., block[1]]
+                across = rows[tall, block[1] if rows.shape[1] > 1 else ...]
+                self._blend(
+                    pixels[within, block[1]],
+                    start + along / (self._scale * _FINE),
+                    self._lowest + across / (self._scale * _STEPS),
+                    gap,
+                )
 
     def _classify(self, start: float, end: float) -> NDArray[np.intp]:
         """What is at positions from start to end, _FINE for each pixel: a column of the table.
@@ -183,7 +185,7 @@ class Ground:
         """Share of a pixel within low to high."""
         lower = np.clip((across - low) * self._scale + 0.5, 0.0, 1.0)
         upper = np.clip((high - across) * self._scale + 0.5, 0.0, 1.0)
-        return np.asarray(lower + upper - 1.0)
+        return np.asarray(np.maximum(lower + upper - 1.0, 0.0))
 
     def _stroke(self, across: FloatArray, middle: float, width: float) -> FloatArray:
         half = 0.5 * max(width, _MIN_PIXELS / self._scale)
@@ -210,12 +212,26 @@ class Ground:
             cover = cover * (_HATCH_GROUND + (_HATCH_STROKE - _HATCH_GROUND) * stroke)
         else:
             cover = cover * _PLAIN
+        marks = self._cover_distances(gap, along, across - 0.5 * (low + high))
         blended = np.zeros_like(pixels)
-        for shift, value in zip((16, 8, 0), gap.colour, strict=True):
+        for shift, value, mark in zip((16, 8, 0), gap.colour, MARKING, strict=True):
             channel = (pixels >> shift & 0xFF).astype(np.float32)
             channel += (value - channel) * cover
+            channel += (mark - channel) * marks
             blended |= channel.astype(np.uint32) << shift
         pixels[:] = blended
+
+    def _cover_distances(self, gap: Gap, along: FloatArray, across: FloatArray) -> FloatArray:
+        """Share of a pixel that lines along the lane cover, with strokes across at their ends."""
+        half = 0.5 * max(_LINE_WIDTH, _MIN_PIXELS / self._scale)
+        reach = _END_STROKE * self._road.lane_width
+        line, stroke = self._band(across, -half, half), self._band(across, -reach, reach)
+        cover = np.zeros(np.broadcast_shapes(along.shape, across.shape), np.float32)
+        for start, end in gap.distances:
+            np.maximum(cover, line * self._band(along, start, end), out=cover)
+            for place in (start + half, end - half):
+                np.maximum(cover, stroke * self._band(along, place - half, place + half), out=cover)
+        return cover
 
     def _bound(self, gap: Gap) -> tuple[slice, slice]:
         """Rows and columns of the smallest block of pixels that holds the gap."""

@@ -64,8 +64,8 @@ class Labels:
             self._head(surface, frame, focus)
         self._draw_scale(surface)
         self._label_incidents(surface, frame, incidents, cars)
-        if gap is not None and focus.row is not None:
-            self._measure_gap(surface, frame, focus.row, gap)
+        if gap is not None:
+            self._measure_gap(surface, gap)
         self._label_agents(surface, frame, focus, cars)
         self._label_positions(surface)
 
@@ -172,41 +172,16 @@ class Labels:
             text = f"changer_{command}" if row == focus.row else f"{command}"
             self._put_beside(surface, text, (column, line), PHASES[phase], cars)
 
-    def _measure_gap(self, surface: "pygame.Surface", frame: Frame, row: int, gap: Gap) -> None:
-        """The metres before and behind the agent, in the target lane."""
-        rows, camera = frame.rows, self._camera
-        position = float(rows["position"][row])
-        for name, start, end in (
-            ("target_leader", position + self._half_length, gap.front),
-            ("target_follower", gap.rear, position - self._half_length),
-        ):
-            if rows[name][row] == NONE or end <= start:
-                continue
+    def _measure_gap(self, surface: "pygame.Surface", gap: Gap) -> None:
+        """The metres of the gap's distances, where the text is shorter than its line."""
+        camera, lane_width = self._camera, self._scenario.road.lane_width
+        for start, end in gap.distances:
             text = f"{end - start:.1f} m"
-            shown = max(start, camera.start), min(end, camera.end)
+            low, high = max(start, camera.start), min(end, camera.end)
             width = self._lettering.measure(text, self._layout.small)[0] + self._layout.text
-            if (shown[1] - shown[0]) * camera.scale < width:
-                continue
-            self._draw_dimension(surface, gap, start, end)
-            lateral = (gap.lane + 0.5) * self._scenario.road.lane_width
-            x, y, _ = camera.place(0.5 * (shown[0] + shown[1]), lateral)
-            self._put(surface, text, (float(x), float(y)), TEXT, "center")
-
-    def _draw_dimension(
-        self, surface: "pygame.Surface", gap: Gap, start: float, end: float
-    ) -> None:
-        """A line along the lane with strokes across at its ends."""
-        camera, width = self._camera, self._scenario.road.lane_width
-        middle = (gap.lane + 0.5) * width
-        low, high = max(start, camera.reach[0]), min(end, camera.reach[1])
-        surface.set_clip(self._layout.camera)
-        x, y, _ = camera.place(np.linspace(low, high, 24), np.full(24, middle))
-        pygame.draw.aalines(surface, MARKING, False, np.stack([x, y], axis=1).tolist())
-        for place in (start, end):
-            x, y, _ = camera.place(np.full(2, place), middle + np.asarray([-0.2, 0.2]) * width)
-            # Of two points, aalines does not always draw the same pixels.
-            pygame.draw.aaline(surface, MARKING, *np.stack([x, y], axis=1).tolist())
-        surface.set_clip(None)
+            if (high - low) * camera.scale >= width:
+                x, y, _ = camera.place(0.5 * (low + high), (gap.lane + 0.5) * lane_width)
+                self._put(surface, text, (float(x), float(y)), TEXT, "center")
 
     def _label_positions(self, surface: "pygame.Surface") -> None:
         """Positions at the posts on the left side."""

@@ -99,13 +99,15 @@ class Legend:
 
     def _draw_refused(self, surface: "pygame.Surface", sign: "pygame.Rect") -> None:
         band = sign.inflate(0, -sign.height // 3)
-        surface.fill(mix(ROAD, REFUSED_GAP, 0.2), band)
-        surface.set_clip(band)
-        step = max(band.height // 2, 3)
-        for x in range(band.left - band.height, band.right, step):
-            ends = (x, band.top), (x + band.height, band.bottom)
-            pygame.draw.aaline(surface, mix(ROAD, REFUSED_GAP, 0.8), *ends, 2)
-        surface.set_clip(None)
+        large = pygame.Surface((4 * band.width, 4 * band.height), depth=32)
+        large.fill(mix(ROAD, REFUSED_GAP, 0.2))
+        height = large.get_height()
+        step = max(height // 2, 3)
+        for x in range(-height, large.get_width(), step):
+            corners = [(x, 0), (x + step // 3, 0), (x + step // 3 + height, height)]
+            corners.append((x + height, height))
+            pygame.draw.polygon(large, mix(ROAD, REFUSED_GAP, 0.8), corners)
+        surface.blit(pygame.transform.smoothscale(large, band.size), band)
 
     def _draw_centre(self, surface: "pygame.Surface", sign: "pygame.Rect") -> None:
         dash = max(sign.width // 7, 2)

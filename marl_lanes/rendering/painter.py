@@ -1,5 +1,8 @@
 """The picture of one time step."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,17 +35,21 @@ class Painter:
 
     Args:
         scenario: of the road.
-        options: of the view.
+        options: of the view; a mapping may leave fields out.
         title: for the panel, for example the policy's name.
 
     Raises:
-        MissingExtraError: pygame is not installed.
+        ValueError: an option is not valid.
     """
 
     def __init__(
-        self, scenario: Scenario, options: ViewOptions | None = None, *, title: str = ""
+        self,
+        scenario: Scenario,
+        options: ViewOptions | Mapping[str, Any] | None = None,
+        *,
+        title: str = "",
     ) -> None:
-        self.options = options if options is not None else ViewOptions()
+        self.options = ViewOptions.make(options)
         self.layout = make_layout(scenario, self.options)
         self.lettering = Lettering()
         self.camera = Camera(scenario, self.layout.camera.size, self.options.span)
@@ -56,6 +63,10 @@ class Painter:
         top = self.layout.camera.bottom
         # The camera's view is drawn anew as a whole.
         self._below = pygame.Rect(0, top, self.options.size[0], self.options.size[1] - top)
+
+    def note(self, frame: Frame) -> None:
+        """Remember what happens in a frame that is not drawn, for the next ones that are."""
+        self._spotlight.look(frame)
 
     def draw(self, frame: Frame) -> Picture:
         """The picture of a frame, (height, width, 3) uint8."""

@@ -66,22 +66,27 @@ def find_gap(scenario: Scenario, rows: Rows, row: int, camera: Camera) -> Gap | 
     agent = rows[row]
     if agent["phase"] == Phase.ABSENT:
         return None
-    half = 0.5 * scenario.vehicle.length
-    bounds = []
-    for name, side, limit in (
-        ("target_follower", half, camera.reach[0]),
-        ("target_leader", -half, camera.reach[1]),
-    ):
-        found = np.flatnonzero(rows["vehicle"] == agent[name])
-        is_there = agent[name] != NONE and found.size > 0
-        bounds.append(float(rows["position"][found[0]]) + side if is_there else limit)
+    half, position = 0.5 * scenario.vehicle.length, float(agent["position"])
+    rear, front = camera.reach
+    distances = []
+    follower, leader = (
+        np.flatnonzero((rows["vehicle"] == agent[name]) & (agent[name] != NONE))
+        for name in ("target_follower", "target_leader")
+    )
+    if follower.size:
+        rear = float(rows["position"][follower[0]]) + half
+        distances.append((rear, position - half))
+    if leader.size:
+        front = float(rows["position"][leader[0]]) - half
+        distances.append((position + half, front))
     is_accepted = agent["phase"] == Phase.ENGAGED
     return Gap(
         int(agent["target_lane"]),
-        bounds[0],
-        bounds[1],
+        rear,
+        front,
         SAFE_GAP if is_accepted else REFUSED_GAP,
         not is_accepted,
+        tuple(one for one in distances if one[0] < one[1]),
     )
 
 

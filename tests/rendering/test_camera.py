@@ -23,7 +23,12 @@ SHARP = load_scenario(
 
 def seen(camera):
     """Position and lateral position of every pixel, (height, width) each."""
-    grids = np.broadcast_arrays(*map(camera.spread, camera.look_up()))
+    bands = [
+        (rows, np.broadcast_arrays(*values, np.zeros((rows.stop - rows.start, 1)))[:2])
+        for rows, values in camera.spread(*camera.look_up())
+    ]
+    assert [rows.start for rows, _ in bands[1:]] == [rows.stop for rows, _ in bands[:-1]]
+    grids = [np.concatenate([values[index] for _, values in bands]) for index in range(2)]
     assert grids[0].shape == camera.size[::-1]
     return grids
 

@@ -91,6 +91,20 @@ def test_a_refused_gap_is_hatched():
     assert strokes == pytest.approx(38.0 / 2.4, abs=2)
 
 
+def test_distances_are_lines_with_strokes_at_their_ends():
+    gap = Gap(0, 480.0, 520.0, SAFE_GAP, is_hatched=False, distances=((480.0, 497.0),))
+    camera, picture = paint(STRAIGHT, 500.0, gap=gap)
+    bright = picture.min(axis=2) > 190
+    x, y, _ = camera.place([480.0, 497.0], 0.5 * WIDTH)
+    left, right = int(x[0]), int(x[1])
+    line = bright[int(y[0]) - 1 : int(y[0]) + 1].any(axis=0)
+    assert line[left + 1 : right - 1].all()
+    assert not line[right + 2 : right + 60].any()
+    for column in (left, right - 1):
+        stroke = bright[int(y[0]) - 12 : int(y[0]) + 12, column - 1 : column + 2].any(axis=1)
+        assert stroke.sum() == pytest.approx(0.4 * WIDTH * camera.scale, abs=2)
+
+
 def test_a_gap_outside_of_the_picture_is_not_drawn():
     gap = Gap(0, 700.0, 750.0, SAFE_GAP, is_hatched=False)
     _, without = paint(STRAIGHT, 500.0)

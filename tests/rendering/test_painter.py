@@ -1,5 +1,8 @@
 import itertools
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -89,6 +92,40 @@ def test_the_same_frames_give_the_same_bytes():
     assert pictures[0].tobytes() != pictures[5].tobytes()
 
 
+DRAW = """
+import hashlib, sys
+import pictures
+from marl_lanes.rendering.painter import Painter
+digest = hashlib.sha256()
+for scenario in (pictures.STRAIGHT, pictures.LEFT_BEND):
+    painter = Painter(scenario)
+    for step in range(12):
+        agent = pictures.commanded(
+            300.0 + 2.3 * step, phase=1 + step // 4, yaw=0.03, target_leader=1, target_follower=2
+        )
+        others = [{"position": place + 2.1 * step, "lane": 2} for place in (330.0, 270.0)]
+        lost = {"position": 310.0, "fate": 2 if step == 5 else 0}
+        digest.update(
+            painter.draw(pictures.make_frame(agent, *others, lost, scenario=scenario, step=step))
+        )
+sys.stdout.write(digest.hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_other_processes_give_the_same_bytes():
+    """What is drawn must not depend on what was in the memory before."""
+    paths = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", DRAW], capture_output=True, text=True, check=True, env=paths
+        ).stdout
+        for _ in range(4)
+    }
+    assert len(found) == 1
+    assert len(found.pop()) == 64
+
+
 def test_a_picture_is_not_overwritten_by_the_next():
     painter = Painter(STRAIGHT)
     first = painter.draw(make_frame({"position": 100.0}))
@@ -167,6 +204,15 @@ def test_a_lost_vehicle_is_marked_in_the_step_that_removes_it(size):
     # The vehicle is gone; what happened stays for a moment.
     view(painter, make_frame({"position": 500.0, "vehicle": 5}, step=2))
     assert "changer_0 off road" in painter.lettering.texts
+
+
+def test_a_frame_that_is_not_drawn_is_remembered():
+    lost = {"position": 300.0, "command": 4, "outcome": Outcome.OFF_ROAD, "fate": Fate.STRAYS}
+    painter = Painter(STRAIGHT, {"size": (640, 360)})
+    painter.note(make_frame(commanded(299.0, command=4, phase=2)))
+    painter.note(make_frame(lost, step=1))
+    painter.draw(make_frame({"position": 500.0, "vehicle": 5}, step=2))
+    assert "changer_4 off road" in painter.lettering.texts
 
 
 def test_no_display_is_opened():
