@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 METADATA_KEY = b"marl_lanes"
 """Key of the metadata, JSON, among the file's key-value pairs."""
 
+LARGEST = 1e7
+"""Magnitude of the largest number that is read; the times of the longest episodes are below it."""
+
 _ROWS_PER_GROUP = 200_000
 
 
@@ -222,9 +225,19 @@ def _read_rows(table: "pyarrow.Table", scenario: Scenario) -> Rows:
         if column.name not in table.column_names:
             raise TrajectoryError(f"column {column.name}: must be there")
         rows[column.name] = _read_column(table.column(column.name), column, scenario)
-    for name in ("time", "position", "lateral_position", "speed", "yaw"):
-        if not np.isfinite(rows[name]).all():
-            raise TrajectoryError(f"column {name}: must be finite")
+    for column in COLUMNS:
+        values = rows[column.name]
+        if column.kind.startswith("f"):
+            # nan is a missing value.
+            allowed = np.abs(values) <= LARGEST
+            if column.is_optional:
+                allowed |= np.isnan(values)
+            if not allowed.all():
+                raise TrajectoryError(
+                    f"column {column.name}: {values[~allowed][0]}: must be within {LARGEST:g}"
+                )
+    if (rows["road"] < 0).any() or (rows["vehicle"] < 0).any():
+        raise TrajectoryError("columns road and vehicle: must be at least 0")
     return rows
 
 

@@ -147,7 +147,19 @@ def test_a_table_of_something_else_is_refused(tmp_path):
         ),
         (
             lambda table: replaced(table, "speed", pyarrow.array([np.nan] * table.num_rows)),
-            "column speed: must be finite",
+            "column speed: nan: must be within 1e\\+07",
+        ),
+        (
+            lambda table: replaced(table, "position", pyarrow.array([1e300] * table.num_rows)),
+            r"column position: 1e\+300: must be within",
+        ),
+        (
+            lambda table: replaced(table, "reward", pyarrow.array([np.inf] * table.num_rows)),
+            "column reward: inf: must be within",
+        ),
+        (
+            lambda table: replaced(table, "vehicle", pyarrow.array([-2] * table.num_rows)),
+            "columns road and vehicle: must be at least 0",
         ),
         (
             lambda table: replaced(
