@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from imageio_ffmpeg import read_frames
+from films import read_pictures
 from naf_program import (
     PROGRAM,
     TINY,
@@ -112,12 +112,10 @@ def test_a_road_of_every_saved_model_is_recorded(whole):
 
 def test_the_film_shows_two_models(whole):
     run, _ = whole
-    frames = read_frames(run / "film.mp4")
-    size = next(frames)["size"]
-    pictures = [np.frombuffer(frame, np.uint8).reshape(size[1], size[0], 3) for frame in frames]
+    pictures = read_pictures(run / "film.mp4")
     assert len(pictures) > 60
     assert (run / "film.mp4").stat().st_size < 3_000_000
-    half = size[1] // 2
+    half = pictures.shape[1] // 2
     red = (pictures[0] @ np.array([2, -1, -1])).astype(int) > 200
     assert min(red[:half].sum(), red[half:].sum()) > 50
 
