@@ -1,6 +1,7 @@
 """The camera: from places on the road to pixels, and from pixels to places on the road."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,19 +9,18 @@ from numpy.typing import ArrayLike, NDArray
 from marl_lanes.scenario import Scenario
 from marl_lanes.trajectory.road_line import RoadLine
 
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating[Any]]
 
 BEHIND = 0.42
 """Share of the picture's width that lies behind the followed vehicle."""
 
-MARGIN = 4.0
+MARGIN = 5.5
 """[m] Least strip of ground beside the road."""
 
 _CELL = 16
 """[pixel] Between the points at which places on the road are computed; linear in between."""
 
-_SPACING = 8.0
+_SPACING = 16.0
 """[pixel] Between the points of the road of which the nearest is sought."""
 
 _STRAIGHT = 1e-6
@@ -46,8 +46,8 @@ class Camera:
         """[pixel/m]"""
         self._line = RoadLine(scenario)
         self._is_curved = bool(scenario.road.arcs)
-        self._weights_x = _make_weights(size[0])
-        self._weights_y = _make_weights(size[1])
+        self.reach = (0.0, 0.0)
+        """Positions between which the road may be in the picture [m]."""
         self.look_at(0.0)
 
     @property
@@ -65,10 +65,12 @@ class Camera:
         self.position = position
         x, y, heading = self._line.place(position, 0.5 * self.road_width)
         self._x, self._y, self._heading = float(x), float(y), float(heading)
-        reach = 0.5 * self.size[0] / self.scale
-        first = max(self.start - reach, float(self._line.position[0]))
-        last = min(self.end + reach, float(self._line.position[-1]))
-        self._samples = np.arange(first, last, _SPACING / self.scale)
+        reach = max(0.5 * self.size[0], self.size[1]) / self.scale
+        self.reach = (
+            max(self.start - reach, float(self._line.position[0])),
+            min(self.end + reach, float(self._line.position[-1])),
+        )
+        self._samples = np.arange(*self.reach, _SPACING / self.scale)
         if self._is_curved:
             headings = self._line.place(self._samples, np.zeros_like(self._samples))[2]
             self._is_straight = bool(np.ptp(headings) < _STRAIGHT)
@@ -88,27 +90,31 @@ class Camera:
         column = BEHIND * self.size[0] + self.scale * ahead
         return column, 0.5 * self.size[1] - self.scale * left, heading - self._heading
 
-    def look_up(self) -> tuple[SingleArray, SingleArray]:
-        """Position and lateral position [m] of the middle of each pixel.
+    def look_up(self) -> tuple[FloatArray, FloatArray]:
+        """Position and lateral position [m] of pixels, as grids that ``spread`` takes.
 
-        Returns:
-            arrays that broadcast to (height, width): (1, width) and (height, 1) where the road in
-            the picture is straight, else both (height, width).
+        Both broadcast to (rows, columns). Where the road in the picture is straight, they are those
+        of the pixels' middles, (1, width) and (height, 1); else those of a coarse grid.
         """
         width, height = self.size
         if self._is_straight:
             along, across = self._to_plane(np.arange(width) + 0.5, np.arange(height) + 0.5)
-            position = self.position + along
-            lateral_position = 0.5 * self.road_width + across
-            return position[None].astype(np.float32), lateral_position[:, None].astype(np.float32)
-        columns, rows = _points(width), _points(height)
-        ahead, left = self._to_plane(columns, rows)
-        position, lateral_position = self._find_nearest(ahead, left)
-        found = [
-            self._weights_y @ grid.astype(np.float32) @ self._weights_x.T
-            for grid in (position, lateral_position)
-        ]
-        return found[0], found[1]
+            return (self.position + along)[None], (0.5 * self.road_width + across)[:, None]
+        return self._find_nearest(*self._to_plane(_points(width), _points(height)))
+
+    def spread(self, grid: FloatArray) -> FloatArray:
+        """Values at the pixels' middles, from a grid of ``look_up`` or a function of it.
+
+        Returns:
+            float32; of the grid's shape where the road in the picture is straight, else
+            (height, width).
+        """
+        single = grid.astype(np.float32)
+        if self._is_straight:
+            return single
+        width, height = self.size
+        tall = _spread_columns(single.T)[:, :height]
+        return _spread_columns(tall.T)[:, :width]
 
     def _to_plane(self, columns: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Metres ahead of and to the left of the looked-at point."""
@@ -146,12 +152,10 @@ def _points(length: int) -> FloatArray:
     return np.arange(-(-length // _CELL) + 1) * float(_CELL)
 
 
-def _make_weights(length: int) -> SingleArray:
-    """(length, points) weights of the linear interpolation at the pixels' middles."""
-    place = (np.arange(length) + 0.5) / _CELL
-    index = place.astype(np.intp)
-    weights = np.zeros((length, _points(length).size), np.float32)
-    rows = np.arange(length)
-    weights[rows, index] = 1.0 - (place - index)
-    weights[rows, index + 1] = place - index
-    return weights
+def _spread_columns(values: FloatArray) -> FloatArray:
+    """(rows, points) to (rows, pixels): linear between the points."""
+    share = ((np.arange(_CELL) + 0.5) / _CELL).astype(np.float32)
+    first = np.ascontiguousarray(values[:, :-1])[..., None]
+    spread = np.diff(values, axis=1)[..., None] * share
+    spread += first
+    return spread.reshape(values.shape[0], -1)

@@ -1,14 +1,14 @@
 """The ground from above: road, markings, verge, and the gap that the rule looks at."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.colours import DARK, TRAFFIC
-from marl_lanes.rendering.camera import Camera
+from marl_lanes.rendering.camera import Camera, FloatArray
 from marl_lanes.rendering.loading import pygame
-from marl_lanes.rendering.palette import Colour, mix, to_rgb
+from marl_lanes.rendering.palette import GROUND, MARKING, ROAD, Colour, mix
 from marl_lanes.scenario import Scenario
 
 DASH_LENGTH = 6.0
@@ -38,12 +38,20 @@ _MIN_PIXELS = 1.2
 _STEPS = 8
 """Rows of the table of colours for each pixel across the road, and levels of coverage."""
 
-_HATCH = 2.4
-"""[m] Between two strokes of a hatched gap."""
+_FINE = 4
+"""Positions for each pixel along the road."""
 
-ROAD = to_rgb(TRAFFIC.road)
-MARKING = to_rgb(TRAFFIC.marking)
-GROUND = to_rgb(DARK.ground)
+_INSET = 0.12
+"""Of the gap's band from the lane's edges, in lane widths."""
+
+_PLAIN = 0.5
+"""Share of the colour in an accepted gap."""
+
+_HATCH, _STROKE = 2.4, 0.6
+"""[m] Between two strokes of a refused gap along the road, and their width."""
+
+_HATCH_GROUND, _HATCH_STROKE = 0.2, 0.8
+"""Share of the colour between the strokes and on them."""
 
 
 class Gap(NamedTuple):
@@ -75,9 +83,10 @@ class Ground:
         self._camera = camera
         self._scale = camera.scale
         self._tables: dict[int | None, NDArray[np.uint32]] = {}
-        reach = camera.size[1] / self._scale
+        # Farther from the road all ground looks the same.
+        reach = _POST_DISTANCE + 2.0 * max(_POST_WIDTH, _MIN_PIXELS / self._scale)
         self._lowest = -reach
-        self._num_rows = int((2.0 * reach + camera.road_width) * self._scale * _STEPS)
+        self._last_row = int((2.0 * reach + camera.road_width) * self._scale * _STEPS)
 
     def draw(self, surface: "pygame.Surface", target_lane: int | None, gap: Gap | None) -> None:
         """Draw the ground.
@@ -87,30 +96,38 @@ class Ground:
             target_lane: whose centre is dotted.
             gap: to be shown.
         """
-        position, lateral_position = self._camera.look_up()
-        rows = ((lateral_position - self._lowest) * (self._scale * _STEPS)).astype(np.int32)
-        np.clip(rows, 0, self._num_rows - 1, out=rows)
+        camera = self._camera
+        position, lateral_position = camera.look_up()
         start = float(position.min())
-        columns_of = self._classify(start, float(position.max()))
-        columns = columns_of[((position - start) * (self._scale * 4.0)).astype(np.int32)]
+        place = camera.spread((position - start) * (self._scale * _FINE))
+        row = np.clip((lateral_position - self._lowest) * (self._scale * _STEPS), 0, self._last_row)
+        row = camera.spread(row)
+        kind = self._classify(start, float(position.max()))[place.astype(np.int32)]
         table = self._table(target_lane)
         pixels = pygame.surfarray.pixels2d(surface).T
-        if rows.shape[1] == 1:
-            pixels[:] = table[rows[:, 0]][:, columns[0]]
+        if row.shape[1] == 1:
+            pixels[:] = table[row[:, 0].astype(np.int32)][:, kind[0]]
         else:
-            rows *= table.shape[1]
-            rows += columns
-            pixels[:] = table.ravel()[rows]
+            kind += row.astype(np.int32) * table.shape[1]
+            np.take(table.ravel(), kind, out=pixels, mode="clip")
         if gap is not None:
-            self._blend(pixels, position, lateral_position, gap)
+            rows, columns = self._bound(gap)
+            along = place[rows if place.shape[0] > 1 else ..., columns]
+            across = row[rows, columns if row.shape[1] > 1 else ...]
+            self._blend(
+                pixels[rows, columns],
+                start + along / (self._scale * _FINE),
+                self._lowest + across / (self._scale * _STEPS),
+                gap,
+            )
 
     def _classify(self, start: float, end: float) -> NDArray[np.int32]:
-        """What is at positions from start to end, each quarter of a pixel: a column of the table.
+        """What is at positions from start to end, _FINE for each pixel: a column of the table.
 
         The column is dash + 9 (post + 2 (stripe + 2 dot)), or the last beyond the road's ends.
         """
-        count = int((end - start) * self._scale * 4.0) + 2
-        place = start + (np.arange(count) + 0.5) / (4.0 * self._scale)
+        count = int((end - start) * self._scale * _FINE) + 2
+        place = start + (np.arange(count) + 0.5) / (_FINE * self._scale)
         dash = self._cover(place, DASH_PERIOD, 0.5 * DASH_LENGTH)
         dash_level = np.rint(dash * _STEPS).astype(np.int32)
         half_post = 0.5 * max(_POST_WIDTH, 2.0 / self._scale)
@@ -121,10 +138,10 @@ class Ground:
         is_outside = (place < 0.0) | (place > self._road.length)
         return np.where(is_outside, 8 * (_STEPS + 1), columns).astype(np.int32)
 
-    def _cover(self, place: NDArray[np.float64], period: float, half: float) -> NDArray[np.float64]:
+    def _cover(self, place: FloatArray, period: float, half: float) -> FloatArray:
         """Share of a pixel that marks around the multiples of a period cover."""
         distance = np.abs(place - period * np.rint(place / period))
-        return np.clip((half - distance) * self._scale + 0.5, 0.0, 1.0)
+        return np.asarray(np.clip((half - distance) * self._scale + 0.5, 0.0, 1.0))
 
     def _table(self, target_lane: int | None) -> NDArray[np.uint32]:
         """(rows, columns) colours as 0xrrggbb."""
@@ -134,14 +151,13 @@ class Ground:
 
     def _make_table(self, target_lane: int | None) -> NDArray[np.uint32]:
         road, width = self._road, self._camera.road_width
-        across = self._lowest + (np.arange(self._num_rows) + 0.5) / (self._scale * _STEPS)
+        across = self._lowest + (np.arange(self._last_row + 1) + 0.5) / (self._scale * _STEPS)
         paved = self._band(across, -_PAVED, width + _PAVED)
         edge = self._stroke(across, -0.5 * _EDGE_WIDTH, _EDGE_WIDTH)
         edge += self._stroke(across, width + 0.5 * _EDGE_WIDTH, _EDGE_WIDTH)
-        between = sum(
-            self._stroke(across, lane * road.lane_width, _LINE_WIDTH)
-            for lane in range(1, road.num_lanes)
-        )
+        between = np.zeros_like(across)
+        for lane in range(1, road.num_lanes):
+            between += self._stroke(across, lane * road.lane_width, _LINE_WIDTH)
         posts = self._stroke(across, -_POST_DISTANCE, _POST_WIDTH)
         posts += self._stroke(across, width + _POST_DISTANCE, _POST_WIDTH)
         centre = np.zeros_like(across)
@@ -152,68 +168,65 @@ class Ground:
             kind, dash = divmod(number, _STEPS + 1)
             has_post, is_light, has_dot = kind & 1, kind >> 1 & 1, kind >> 2 & 1
             ground = mix(GROUND, MARKING, 0.025) if is_light else GROUND
-            colours = np.broadcast_to(np.asarray(ground, np.float64), (across.size, 3))
-            colours = _over(colours, ROAD, paved)
+            colours = _over(np.asarray(ground, np.float64), ROAD, paved)
             colours = _over(colours, MARKING, edge)
             colours = _over(colours, MARKING, between * (dash / _STEPS))
             colours = _over(colours, MARKING, posts * has_post)
             columns.append(_over(colours, MARKING, 0.8 * centre * has_dot))
         columns.append(np.broadcast_to(np.asarray(GROUND, np.float64), (across.size, 3)))
-        packed = np.rint(np.stack(columns, axis=1)).astype(np.uint32)
-        return packed[..., 0] << 16 | packed[..., 1] << 8 | packed[..., 2]
+        red, green, blue = np.moveaxis(np.rint(np.stack(columns, axis=1)).astype(np.uint32), -1, 0)
+        return np.ascontiguousarray(red << 16 | green << 8 | blue)
 
-    def _band(self, across: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
+    def _band(self, across: FloatArray, low: float, high: float) -> FloatArray:
         """Share of a pixel within low to high."""
         lower = np.clip((across - low) * self._scale + 0.5, 0.0, 1.0)
-        return lower + np.clip((high - across) * self._scale + 0.5, 0.0, 1.0) - 1.0
+        upper = np.clip((high - across) * self._scale + 0.5, 0.0, 1.0)
+        return np.asarray(lower + upper - 1.0)
 
-    def _stroke(
-        self, across: NDArray[np.float64], middle: float, width: float
-    ) -> NDArray[np.float64]:
+    def _stroke(self, across: FloatArray, middle: float, width: float) -> FloatArray:
         half = 0.5 * max(width, _MIN_PIXELS / self._scale)
         return self._band(across, middle - half, middle + half)
 
     def _blend(
         self,
         pixels: NDArray[np.uint32],
-        position: NDArray[np.float32],
-        lateral_position: NDArray[np.float32],
+        along: FloatArray,
+        across: FloatArray,
         gap: Gap,
     ) -> None:
-        """Colour the gap's band, within the smallest rectangle that holds it."""
-        low = gap.lane * self._road.lane_width
-        is_along = (position > gap.rear) & (position < gap.front)
-        is_across = (lateral_position > low) & (lateral_position < low + self._road.lane_width)
-        is_inside = is_along & is_across
-        rows, columns = np.flatnonzero(is_inside.any(1)), np.flatnonzero(is_inside.any(0))
-        if rows.size == 0:
+        """Colour the gap's band in a block of pixels with these places on the road."""
+        if pixels.size == 0:
             return
-        tall, wide = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-        along = position[tall if position.shape[0] > 1 else slice(None), wide]
-        across = lateral_position[tall, wide if lateral_position.shape[1] > 1 else slice(None)]
-        inner = 0.12 * self._road.lane_width
-        cover = np.clip((across - low - inner) * self._scale + 0.5, 0.0, 1.0)
-        cover = cover * np.clip(
-            (low + self._road.lane_width - inner - across) * self._scale + 0.5, 0.0, 1.0
-        )
-        cover = cover * ((along > gap.rear) & (along < gap.front))
+        low, high = gap.lane * self._road.lane_width, (gap.lane + 1) * self._road.lane_width
+        inset = _INSET * self._road.lane_width
+        cover = self._band(across, low + inset, high - inset)
+        cover = cover * self._band(along, gap.rear, gap.front)
         if gap.is_hatched:
             slanted = (along + across) / _HATCH
-            distance = np.abs(slanted - np.rint(slanted)) * (_HATCH * self._scale * 0.7)
-            stroke = np.clip(0.2 * _HATCH * self._scale - distance + 0.5, 0.0, 1.0)
-            cover = cover * (0.25 + 0.6 * stroke)
+            distance = np.abs(slanted - np.rint(slanted)) * (_HATCH * math.sqrt(0.5) * self._scale)
+            stroke = np.clip(0.5 * _STROKE * self._scale - distance + 0.5, 0.0, 1.0)
+            cover = cover * (_HATCH_GROUND + (_HATCH_STROKE - _HATCH_GROUND) * stroke)
         else:
-            cover = cover * 0.55
-        block = pixels[tall, wide]
-        blended = np.zeros_like(block)
+            cover = cover * _PLAIN
+        blended = np.zeros_like(pixels)
         for shift, value in zip((16, 8, 0), gap.colour, strict=True):
-            channel = (block >> shift & 0xFF).astype(np.float32)
+            channel = (pixels >> shift & 0xFF).astype(np.float32)
             channel += (value - channel) * cover
             blended |= channel.astype(np.uint32) << shift
-        pixels[tall, wide] = blended
+        pixels[:] = blended
+
+    def _bound(self, gap: Gap) -> tuple[slice, slice]:
+        """Rows and columns of the smallest block of pixels that holds the gap."""
+        camera, width = self._camera, self._road.lane_width
+        places = np.linspace(max(gap.rear, camera.reach[0]), min(gap.front, camera.reach[1]), 64)
+        found = [camera.place(places, (gap.lane + side) * width) for side in (0, 1)]
+        slices = []
+        for axis, size in ((1, camera.size[1]), (0, camera.size[0])):
+            values = np.concatenate([one[axis] for one in found])
+            first, last = math.floor(values.min()) - 2, math.ceil(values.max()) + 2
+            slices.append(slice(min(max(first, 0), size), min(max(last, 0), size)))
+        return slices[0], slices[1]
 
 
-def _over(
-    below: NDArray[np.float64], colour: Colour, cover: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _over(below: FloatArray, colour: Colour, cover: FloatArray) -> FloatArray:
     return np.asarray(below + (np.asarray(colour) - below) * cover[:, None])

@@ -1,13 +1,13 @@
 """Where the parts of a picture are, for every size."""
 
+import math
 from dataclasses import dataclass
 
-from marl_lanes.rendering.camera import MARGIN
 from marl_lanes.rendering.loading import pygame
 from marl_lanes.rendering.options import ViewOptions
 from marl_lanes.scenario import Scenario
 
-COLUMNS = {"time": 15, "agent": 23, "reward": 24, "legend": 27}
+COLUMNS = {"time": 13, "agent": 22, "reward": 22, "legend": 26}
 """Parts of the panel and their widths, in lines of text; the first come first."""
 
 PANEL_LINES = 10
@@ -16,8 +16,29 @@ PANEL_LINES = 10
 SPACING = 1.45
 """Distance of two lines of text, in their size."""
 
-_MIN_TEXT, _TEXT_SHARE, _MAX_TEXT = 10, 1.0 / 51.0, 44
+_MIN_TEXT, _TEXT_SHARE, _MAX_TEXT = 11, 1.0 / 51.0, 44
 """Size of text: limits [pixel], and the share of the height."""
+
+
+_VERGE, _CURVED_VERGE = 8.0, 12.0
+"""[m] Of ground beside the road that the camera's view shows, if there is room."""
+
+_STRIP_SCALE = 2.6
+"""[pixel/m] At this scale a vehicle in a strip is a rectangle that one sees."""
+
+_MAX_STRIPS = 6
+
+_STRIPS_SHARE = 0.25
+"""Of the height, at most."""
+
+_MIN_LINES = 22
+"""Lines of text in the height of a picture that has more than the camera's view."""
+
+_STRIP_LINES = 5
+"""Lines of text that the panel leaves for a strip."""
+
+_MIN_LANE = 4
+"""[pixel] Least width of a lane in a strip."""
 
 
 @dataclass(frozen=True)
@@ -64,71 +85,71 @@ def make_layout(scenario: Scenario, options: ViewOptions) -> Layout:
     width, height = options.size
     text = round(min(max(min(width * 9.0 / 16.0, height) * _TEXT_SHARE, _MIN_TEXT), _MAX_TEXT))
     road = scenario.road
-    margin = text
-    road_width = road.num_lanes * road.lane_width
-    needed = round((road_width + 4.0 * MARGIN) * width / options.span)
-    camera_height = min(max(needed, round(0.30 * height)), round(0.55 * height))
-    panel, panel_height = _place_panel(width, height - camera_height, text)
-    rest = height - camera_height - panel_height
-    strips = _place_strips(scenario, width, min(rest, round(0.30 * height)), text)
-    strips_height = (strips[-1].rect.bottom + margin // 2) if strips else 0
-    if not panel and not strips:
-        camera_height = height
-    else:
-        camera_height = height - panel_height - strips_height
+    verge = _CURVED_VERGE if road.arcs else _VERGE
+    wanted = (road.num_lanes * road.lane_width + 2.0 * verge) * width / options.span
+    least = round(min(max(wanted, 0.30 * height), 0.55 * height))
+    panel, panel_height = _place_panel(width, height - least, text)
+    free = min(height - least - panel_height, round(_STRIPS_SHARE * height))
+    if height < _MIN_LINES * text:
+        free = 0
+    strips, strips_height = _place_strips(scenario, width, free, text)
+    camera = pygame.Rect(0, 0, width, height - panel_height - strips_height)
     return Layout(
         options.size,
         text,
-        pygame.Rect(0, 0, width, camera_height),
-        tuple(Strip(strip.rect.move(0, camera_height), strip.start, strip.end) for strip in strips),
+        camera,
+        tuple(Strip(strip.rect.move(0, camera.bottom), strip.start, strip.end) for strip in strips),
         {name: rect.move(0, height - panel_height) for name, rect in panel.items()},
     )
 
 
 def _place_panel(width: int, free: int, text: int) -> tuple[dict[str, "pygame.Rect"], int]:
-    """Parts side by side, those that fit, and the height of all; the top is 0."""
+    """Parts side by side, in as many rows as there is room for, and the height of all.
+
+    The top is 0. No panel is better than the time alone.
+    """
     margin = round(0.7 * text)
     height = round(PANEL_LINES * SPACING * text) + margin
-    strip = round(5.0 * text)
-    if height + strip + margin > free:
-        return {}, 0
-    names: list[str] = []
-    left = margin
+    rows: list[list[str]] = [[]]
     for name, lines in COLUMNS.items():
-        if left + lines * text + margin > width:
-            break
-        names.append(name)
-        left += lines * text + margin
-    if len(names) < 2:
+        used = sum(COLUMNS[other] * text + margin for other in rows[-1])
+        if margin + used + lines * text + margin > width:
+            rows.append([])
+        rows[-1].append(name)
+    num_rows = min(len(rows), (free - _STRIP_LINES * text) // (height + margin))
+    if num_rows < 1 or len(rows[0]) < 2:
         return {}, 0
-    # The rest of the width goes to all in proportion.
-    share = (width - margin * (len(names) + 1)) / sum(COLUMNS[name] for name in names)
-    rects, left = {}, float(margin)
-    for name in names:
-        rects[name] = pygame.Rect(round(left), 0, int(share * COLUMNS[name]), height)
-        left += share * COLUMNS[name] + margin
-    return rects, height + margin
+    rects = {}
+    for index, names in enumerate(rows[:num_rows]):
+        # The rest of the width goes to all in proportion.
+        share = (width - margin * (len(names) + 1)) / sum(COLUMNS[name] for name in names)
+        left = float(margin)
+        for name in names:
+            top = index * (height + margin)
+            rects[name] = pygame.Rect(round(left), top, int(share * COLUMNS[name]), height)
+            left += share * COLUMNS[name] + margin
+    return rects, num_rows * (height + margin)
 
 
-def _place_strips(scenario: Scenario, width: int, free: int, text: int) -> list[Strip]:
-    """The whole road in rows; the top of all is 0."""
+def _place_strips(scenario: Scenario, width: int, free: int, text: int) -> tuple[list[Strip], int]:
+    """The whole road in rows, and the height of all; the top is 0."""
     road = scenario.road
-    margin = text
-    lane = min(max(round(0.5 * text), 4), max(3, round(6.0 * text / road.num_lanes)))
-    label = round(1.5 * text)
-    row = road.num_lanes * lane + label
-    length = width - 2 * margin
-    # At the scale of two pixels a metre a vehicle is a rectangle that one sees.
-    wanted = max(1, -(-2.0 * road.length // length))
-    count = int(min(wanted, (free - margin // 2) // row))
+    length = width - 2 * text
+    label = round(1.7 * text)
+    least = label + _MIN_LANE * road.num_lanes
+    wanted = math.ceil(_STRIP_SCALE * road.length / length)
+    count = min(wanted, _MAX_STRIPS, (free - text // 2) // least)
     if count < 1:
-        return []
-    piece = road.length / count
-    return [
+        return [], 0
+    lane = ((free - text // 2) // count - label) // road.num_lanes
+    lane = min(lane, max(round(0.75 * text), _MIN_LANE))
+    piece, row = road.length / count, label + road.num_lanes * lane
+    strips = [
         Strip(
-            pygame.Rect(margin, index * row + label, length, road.num_lanes * lane),
+            pygame.Rect(text, index * row + label, length, road.num_lanes * lane),
             index * piece,
             (index + 1) * piece,
         )
         for index in range(count)
     ]
+    return strips, count * row + text // 2

@@ -10,8 +10,11 @@ Anchor = Literal["topleft", "topright", "midleft", "midright", "center", "midtop
 _MAX_KEPT = 4096
 """Pictures of text; beyond that all are drawn anew."""
 
-_CAP_SHARE = 1.42
+_FONT_SHARE = 1.42
 """Size that pygame's own font needs for lines of one pixel, by which a text's size is given."""
+
+_FINE = 3
+"""Text is drawn so much larger and then shrunk: letters then stand at even distances."""
 
 
 class Lettering:
@@ -28,15 +31,21 @@ class Lettering:
         self._pictures: dict[tuple[str, int, Colour], pygame.Surface] = {}
         self.placed: list[pygame.Rect] = []
         self.texts: list[str] = []
+        self._num_fixed = 0
+
+    def fix(self) -> None:
+        """Keep the texts that are placed by now in all pictures."""
+        self._num_fixed = len(self.placed)
 
     def begin(self) -> None:
-        """Begin a picture: no text is placed."""
-        self.placed.clear()
-        self.texts.clear()
+        """Begin a picture with the fixed texts."""
+        del self.placed[self._num_fixed :]
+        del self.texts[self._num_fixed :]
 
     def measure(self, text: str, size: int) -> tuple[int, int]:
         """Width and height of a text [pixel]."""
-        return self._font(size).size(text)
+        width, height = self._font(size).size(text)
+        return -(-width // _FINE), -(-height // _FINE)
 
     def shorten(self, text: str, size: int, width: int) -> str:
         """The text, or its start with an ellipsis, within a width [pixel]."""
@@ -73,25 +82,37 @@ class Lettering:
         Returns:
             the rectangle, with its box; None if the text is not drawn.
         """
-        picture = self._render(text, size, colour)
-        rect = picture.get_rect()
-        padding = round(0.3 * size) if chip is not None else 0
-        box = rect.inflate(2 * padding, padding)
-        setattr(box, anchor, (round(place[0]), round(place[1])))
-        rect.center = box.center
+        box = self.find_room(text, place, size, anchor=anchor, is_boxed=chip is not None)
         limits = surface.get_rect() if within is None else within
         if not limits.contains(box) or box.collidelist(self.placed) >= 0:
             return None
         if chip is not None:
-            pygame.draw.rect(surface, chip, box, border_radius=round(0.35 * size))
-        surface.blit(picture, rect)
+            pygame.draw.rect(surface, chip, box, border_radius=round(0.4 * size))
+        picture = self._render(text, size, colour)
+        surface.blit(picture, picture.get_rect(center=box.center))
         self.placed.append(box)
         self.texts.append(text)
         return box
 
+    def find_room(
+        self,
+        text: str,
+        place: tuple[float, float],
+        size: int,
+        *,
+        anchor: Anchor = "topleft",
+        is_boxed: bool = False,
+    ) -> "pygame.Rect":
+        """The rectangle that a text would take, with its box."""
+        rect = pygame.Rect((0, 0), self.measure(text, size))
+        if is_boxed:
+            rect.inflate_ip(2 * round(0.35 * size), round(0.25 * size))
+        setattr(rect, anchor, (round(place[0]), round(place[1])))
+        return rect
+
     def _font(self, size: int) -> "pygame.font.Font":
         if size not in self._fonts:
-            self._fonts[size] = pygame.font.Font(None, round(_CAP_SHARE * size))
+            self._fonts[size] = pygame.font.Font(None, round(_FONT_SHARE * size * _FINE))
         return self._fonts[size]
 
     def _render(self, text: str, size: int, colour: Colour) -> "pygame.Surface":
@@ -99,5 +120,6 @@ class Lettering:
         if key not in self._pictures:
             if len(self._pictures) >= _MAX_KEPT:
                 self._pictures.clear()
-            self._pictures[key] = self._font(size).render(text, True, colour)
+            large = self._font(size).render(text, True, colour)
+            self._pictures[key] = pygame.transform.smoothscale(large, self.measure(text, size))
         return self._pictures[key]

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.rendering.camera import Camera
 from marl_lanes.rendering.layout import make_layout
+from marl_lanes.rendering.legend import Legend
 from marl_lanes.rendering.lettering import Lettering
 from marl_lanes.rendering.loading import pygame
 from marl_lanes.rendering.options import ViewOptions
@@ -45,19 +46,21 @@ class Painter:
         self._spotlight = Spotlight(self.options)
         self._scene = Scene(scenario, self.layout, self._camera, self.lettering)
         self._strips = Strips(scenario, self.layout)
-        self._panel = Panel(scenario, self.layout, self.lettering, title)
+        self._panel = Panel(scenario, self.layout, self.lettering, title, self.options.speed)
+        self._legend = Legend(scenario, self.layout, self.lettering)
         self._surface = pygame.Surface(self.options.size, depth=32)
         self._ground = self._draw_ground()
 
     def draw(self, frame: Frame) -> Picture:
         """The picture of a frame, (height, width, 3) uint8."""
         focus = self._spotlight.look(frame)
+        incidents = self._spotlight.incidents
         self._camera.look_at(focus.position)
         self.lettering.begin()
         self._surface.blit(self._ground, (0, 0))
-        self._panel.draw(self._surface, frame, focus)
-        self._strips.draw(self._surface, self.lettering, frame, focus, self._camera)
-        self._scene.draw(self._surface, frame, focus, self._spotlight.incidents)
+        self._panel.draw(self._surface, frame, focus, incidents)
+        self._strips.draw(self._surface, frame, focus, self._camera)
+        self._scene.draw(self._surface, frame, focus, incidents)
         return self._read()
 
     def _draw_ground(self) -> "pygame.Surface":
@@ -65,7 +68,9 @@ class Painter:
         ground = pygame.Surface(self.options.size, depth=32)
         ground.fill(BACKGROUND)
         self._panel.draw_ground(ground)
-        self._strips.draw_ground(ground)
+        self._legend.draw(ground)
+        self._strips.draw_ground(ground, self.lettering)
+        self.lettering.fix()
         return ground
 
     def _read(self) -> Picture:

@@ -11,7 +11,6 @@ from marl_lanes.rendering.palette import (
     MARKING,
     VEHICLE,
     Colour,
-    mix,
     outline_of,
 )
 from marl_lanes.traffic.machine.state import Disposition
@@ -25,9 +24,16 @@ PHASES = 4
 _MAX_KEPT = 8192
 """Pictures; beyond that all are drawn anew."""
 
+_MIN_WINDOWED, _MIN_PATTERNED = 5.0, 7.0
+"""[pixel] Least widths of vehicles with windows, and with patterned outlines."""
+
 _BLACK = (12, 14, 17)
 _GLASS = (38, 46, 58)
 _HEADLIGHT = (255, 250, 225)
+
+
+Sprite = tuple["pygame.Surface", tuple[int, int]]
+"""A picture, its colours multiplied by alpha, and where its top left corner goes."""
 
 
 class Look(NamedTuple):
@@ -57,10 +63,8 @@ class Sprites:
         self._flat: dict[Look, pygame.Surface] = {}
         self._turned: dict[tuple[Look, int, int, int], tuple[pygame.Surface, int, int]] = {}
 
-    def find(
-        self, look: Look, x: float, y: float, angle: float
-    ) -> tuple["pygame.Surface", tuple[int, int]]:
-        """A picture, its colours multiplied by alpha, and where its top left corner goes.
+    def find(self, look: Look, x: float, y: float, angle: float) -> Sprite:
+        """The picture of a vehicle at a place.
 
         Args:
             look: of the vehicle.
@@ -107,7 +111,7 @@ class Sprites:
         body.center = (size[0] // 2, size[1] // 2)
         thickness = self._draw_body(surface, body, look)
         inner = body.inflate(-2 * thickness, -2 * thickness)
-        if self.width >= 5.0:
+        if self.width >= _MIN_WINDOWED:
             _draw_windows(surface, inner)
         if look.is_braking:
             _draw_brake_lights(surface, body)
@@ -122,15 +126,20 @@ class Sprites:
         colour = CHANGER if look.is_changer else VEHICLE
         outline = outline_of(look.disposition)
         is_plain = look.disposition == Disposition.NEUTRAL
-        share = 0.07 if is_plain else 0.15
-        thickness = round(max(share * self.width, 0.8 if is_plain else 1.2) * self._factor)
+        if is_plain:
+            thin = 0.07 * self.width if self.width >= _MIN_WINDOWED else 0.0
+        else:
+            thin = max(0.15 * self.width, 1.2 if self.width >= _MIN_WINDOWED else 0.8)
+        thickness = round(thin * self._factor)
         radius = round(0.22 * body.height)
-        is_dashed = look.disposition == Disposition.ADVERSARIAL
+        # In smaller vehicles a pattern is no pattern any more.
+        is_patterned = self.width >= _MIN_PATTERNED
+        is_dashed = is_patterned and look.disposition == Disposition.ADVERSARIAL
         pygame.draw.rect(surface, _BLACK if is_dashed else outline, body, border_radius=radius)
         if is_dashed:
             _draw_dashes(surface, body, outline, radius)
         inner = body.inflate(-2 * thickness, -2 * thickness)
-        if look.disposition == Disposition.EXTERNAL:
+        if is_patterned and look.disposition == Disposition.EXTERNAL:
             # A double line.
             middle = body.inflate(-thickness, -thickness)
             pygame.draw.rect(surface, _BLACK, middle, border_radius=radius - thickness // 2)
@@ -174,7 +183,7 @@ def _draw_windows(surface: "pygame.Surface", body: "pygame.Rect") -> None:
 
 
 def _draw_brake_lights(surface: "pygame.Surface", body: "pygame.Rect") -> None:
-    length = round(max(0.10 * body.width, 0.2 * body.height))
+    length = round(0.26 * body.height)
     bar = pygame.Rect(body.left, body.top, length, round(0.36 * body.height))
     for top in (body.top, body.bottom - bar.height):
         bar.top = top
@@ -192,7 +201,7 @@ def _draw_indicator(surface: "pygame.Surface", body: "pygame.Rect", side: int, s
 
 def _draw_cross(surface: "pygame.Surface", body: "pygame.Rect", factor: int) -> None:
     reach = body.inflate(round(0.4 * body.height), round(0.4 * body.height))
-    for colour, thickness in ((_BLACK, 0.30), (mix(MARKING, _BLACK, 0.0), 0.16)):
+    for colour, thickness in ((_BLACK, 0.30), (MARKING, 0.16)):
         width = max(round(thickness * body.height), factor)
         pygame.draw.line(surface, colour, reach.topleft, reach.bottomright, width)
         pygame.draw.line(surface, colour, reach.bottomleft, reach.topright, width)

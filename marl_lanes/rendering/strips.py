@@ -10,7 +10,7 @@ from marl_lanes.rendering.lettering import Lettering
 from marl_lanes.rendering.loading import pygame
 from marl_lanes.rendering.palette import GRID, MARKING, MUTED, ROAD, TEXT, mix
 from marl_lanes.rendering.spotlight import Focus
-from marl_lanes.rendering.sprites import Look, Sprites
+from marl_lanes.rendering.sprites import Look, Sprite, Sprites
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import Fate, Phase
 from marl_lanes.trajectory.frames import Frame
@@ -45,10 +45,11 @@ class Strips:
         width = max(scenario.vehicle.width * self._across, _MIN_WIDTH)
         self._sprites = Sprites(length, width)
         # One that drives a lane change is a bit larger, so that one finds it.
-        self._large = Sprites(1.35 * length + 1.0, 1.35 * width + 1.0)
+        growth = 1.0 + 0.35 * min(length, 3.0 * width)
+        self._large = Sprites(length + growth, 1.0 + 1.35 * width)
 
-    def draw_ground(self, surface: "pygame.Surface") -> None:
-        """Draw what stands still: lanes and ticks."""
+    def draw_ground(self, surface: "pygame.Surface", lettering: Lettering) -> None:
+        """Draw what stands still: lanes and positions."""
         for strip in self._strips:
             rect = strip.rect
             surface.fill(ROAD, rect)
@@ -57,27 +58,19 @@ class Strips:
                 surface.fill(mix(ROAD, MARKING, 0.22), (rect.left, y, rect.width, 1))
             for y in (rect.top - 1, rect.bottom):
                 surface.fill(mix(ROAD, MARKING, 0.6), (rect.left, y, rect.width, 1))
+            self._label(surface, lettering, strip)
 
-    def draw(
-        self,
-        surface: "pygame.Surface",
-        lettering: Lettering,
-        frame: Frame,
-        focus: Focus,
-        camera: Camera,
-    ) -> None:
-        """Draw the vehicles, the camera's window and the positions."""
+    def draw(self, surface: "pygame.Surface", frame: Frame, focus: Focus, camera: Camera) -> None:
+        """Draw the vehicles and the camera's window."""
         if not self._strips:
             return
-        for strip in self._strips:
-            self._label(surface, lettering, strip)
         self._draw_vehicles(surface, frame, focus)
         for strip in self._strips:
             self._mark_window(surface, strip, camera)
 
     def _label(self, surface: "pygame.Surface", lettering: Lettering, strip: Strip) -> None:
         small = self._layout.small
-        widest = lettering.measure(f"{self._length:.0f} m", small)[0]
+        widest = lettering.measure(_name(self._length), small)[0]
         step = next((step for step in _TICKS if step * self._along > 1.8 * widest), _TICKS[-1])
         first = math.ceil(strip.start / step - 1e-9)
         for number in range(first, math.floor(strip.end / step + 1e-9) + 1):
@@ -85,7 +78,7 @@ class Strips:
             surface.fill(MUTED, (round(x), strip.rect.top - 4, 1, 4))
             lettering.put(
                 surface,
-                f"{number * step:.0f} m",
+                _name(number * step),
                 (x, strip.rect.top - 4),
                 small,
                 MUTED,
@@ -103,7 +96,8 @@ class Strips:
         yaw = np.arctan2(np.sin(rows["yaw"]) * ratio, np.cos(rows["yaw"])).tolist()
         is_agent = (rows["phase"] != Phase.ABSENT) | (rows["outcome"] != 0)
         is_lost = (rows["fate"] == Fate.COLLIDES) | (rows["fate"] == Fate.STRAYS)
-        pictures, above = [], []
+        pictures: list[Sprite] = []
+        above: list[Sprite] = []
         for number, (is_red, is_gone) in enumerate(
             zip(is_agent.tolist(), is_lost.tolist(), strict=True)
         ):
@@ -133,3 +127,10 @@ class Strips:
         width = max(round((end - start) * self._along), 2)
         window = pygame.Rect(x, strip.rect.top - 2, width, strip.rect.height + 4)
         pygame.draw.rect(surface, mix(GRID, MARKING, 0.55), window, 1)
+
+
+def _name(position: float) -> str:
+    """A position in metres, or in kilometres where these are shorter."""
+    if position >= 10_000.0 and position % 100.0 == 0.0:
+        return f"{position / 1000.0:g} km"
+    return f"{position:.0f} m"
