@@ -50,9 +50,7 @@ def test_a_field_that_is_not_valid_is_named(field, value):
         ViewOptions.make({field: value})
 
 
-@pytest.mark.parametrize(
-    "size", [(320, 180), (3840, 2160), (320, 2160), (3840, 180), (1080, 1920)]
-)
+@pytest.mark.parametrize("size", [(320, 180), (3840, 2160), (320, 2160), (3840, 180), (1080, 1920)])
 def test_sizes_within_the_limits(size):
     assert ViewOptions(size=size).size == size
 
