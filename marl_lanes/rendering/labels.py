@@ -199,15 +199,13 @@ class Labels:
         camera, width = self._camera, self._scenario.road.lane_width
         middle = (gap.lane + 0.5) * width
         low, high = max(start, camera.reach[0]), min(end, camera.reach[1])
-        lines = [(np.linspace(low, high, 24), np.full(24, middle))]
-        lines += [
-            (np.full(2, place), middle + np.asarray([-0.2, 0.2]) * width) for place in (start, end)
-        ]
         surface.set_clip(self._layout.camera)
-        for position, lateral in lines:
-            x, y, _ = camera.place(position, lateral)
-            points = np.stack([x, y], axis=1).tolist()
-            pygame.draw.aalines(surface, MARKING, False, points)
+        x, y, _ = camera.place(np.linspace(low, high, 24), np.full(24, middle))
+        pygame.draw.aalines(surface, MARKING, False, np.stack([x, y], axis=1).tolist())
+        # aalines draws the end of a line of two points sometimes so and sometimes so.
+        for place in (start, end):
+            x, y, _ = camera.place(np.full(2, place), middle + np.asarray([-0.2, 0.2]) * width)
+            pygame.draw.aaline(surface, MARKING, *np.stack([x, y], axis=1).tolist())
         surface.set_clip(None)
 
     def _label_positions(self, surface: "pygame.Surface") -> None:
