@@ -67,3 +67,9 @@ def find_cars(picture):
 def crop(picture, rect):
     """The part of a picture in a rectangle."""
     return picture[rect.top : rect.bottom, rect.left : rect.right]
+
+
+def count_colours(picture):
+    """Number of different colours."""
+    red, green, blue = np.moveaxis(picture.astype(np.uint32), -1, 0)
+    return np.unique(red << 16 | green << 8 | blue).size

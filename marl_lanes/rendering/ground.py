@@ -102,13 +102,15 @@ class Ground:
         place = camera.spread((position - start) * (self._scale * _FINE))
         row = np.clip((lateral_position - self._lowest) * (self._scale * _STEPS), 0, self._last_row)
         row = camera.spread(row)
-        kind = self._classify(start, float(position.max()))[place.astype(np.int32)]
+        kind = self._classify(start, float(position.max()))[place.astype(np.intp)]
         table = self._table(target_lane)
         pixels = pygame.surfarray.pixels2d(surface).T
         if row.shape[1] == 1:
-            pixels[:] = table[row[:, 0].astype(np.int32)][:, kind[0]]
+            pixels[:] = table[row[:, 0].astype(np.intp)][:, kind[0]]
         else:
-            kind += row.astype(np.int32) * table.shape[1]
+            index = row.astype(np.intp)
+            index *= table.shape[1]
+            kind += index
             np.take(table.ravel(), kind, out=pixels, mode="clip")
         if gap is not None:
             rows, columns = self._bound(gap)
@@ -121,7 +123,7 @@ class Ground:
                 gap,
             )
 
-    def _classify(self, start: float, end: float) -> NDArray[np.int32]:
+    def _classify(self, start: float, end: float) -> NDArray[np.intp]:
         """What is at positions from start to end, _FINE for each pixel: a column of the table.
 
         The column is dash + 9 (post + 2 (stripe + 2 dot)), or the last beyond the road's ends.
@@ -136,7 +138,7 @@ class Ground:
         dot = self._cover(place, 3.0, 0.5) > 0.5
         columns = dash_level + (_STEPS + 1) * (post + 2 * (stripe + 2 * dot))
         is_outside = (place < 0.0) | (place > self._road.length)
-        return np.where(is_outside, 8 * (_STEPS + 1), columns).astype(np.int32)
+        return np.where(is_outside, 8 * (_STEPS + 1), columns).astype(np.intp)
 
     def _cover(self, place: FloatArray, period: float, half: float) -> FloatArray:
         """Share of a pixel that marks around the multiples of a period cover."""

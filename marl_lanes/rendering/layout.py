@@ -23,8 +23,8 @@ _MIN_TEXT, _TEXT_SHARE, _MAX_TEXT = 11, 1.0 / 51.0, 44
 _VERGE, _CURVED_VERGE = 8.0, 12.0
 """[m] Of ground beside the road that the camera's view shows, if there is room."""
 
-_STRIP_SCALE = 2.6
-"""[pixel/m] At this scale a vehicle in a strip is a rectangle that one sees."""
+_STRIP_SCALE = 0.185
+"""[1/m] Pixels for each metre, in the size of text, that make a vehicle in a strip a rectangle."""
 
 _MAX_STRIPS = 6
 
@@ -137,7 +137,7 @@ def _place_strips(scenario: Scenario, width: int, free: int, text: int) -> tuple
     length = width - 2 * text
     label = round(1.7 * text)
     least = label + _MIN_LANE * road.num_lanes
-    wanted = math.ceil(_STRIP_SCALE * road.length / length)
+    wanted = math.ceil(_STRIP_SCALE * text * road.length / length)
     count = min(wanted, _MAX_STRIPS, (free - text // 2) // least)
     if count < 1:
         return [], 0

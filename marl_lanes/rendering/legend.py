@@ -102,9 +102,11 @@ class Legend:
         surface.fill(mix(ROAD, REFUSED_GAP, 0.2), band)
         surface.set_clip(band)
         step = max(band.height // 2, 3)
+        colour = mix(ROAD, REFUSED_GAP, 0.8)
         for x in range(band.left - band.height, band.right, step):
-            ends = (x, band.top), (x + band.height, band.bottom)
-            pygame.draw.aaline(surface, mix(ROAD, REFUSED_GAP, 0.8), *ends, 2)
+            for left in range(x, x + max(step // 3, 2)):
+                ends = (left, band.top), (left + band.height, band.bottom)
+                pygame.draw.aaline(surface, colour, *ends)
         surface.set_clip(None)
 
     def _draw_centre(self, surface: "pygame.Surface", sign: "pygame.Rect") -> None:

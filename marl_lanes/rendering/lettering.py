@@ -8,7 +8,7 @@ from marl_lanes.rendering.palette import Colour
 Anchor = Literal["topleft", "topright", "midleft", "midright", "center", "midtop", "midbottom"]
 
 _MAX_KEPT = 4096
-"""Pictures of text; beyond that all are drawn anew."""
+"""Texts with their sizes and pictures; beyond that all are drawn anew."""
 
 _FONT_SHARE = 1.42
 """Size that pygame's own font needs for lines of one pixel, by which a text's size is given."""
@@ -28,6 +28,7 @@ class Lettering:
     def __init__(self) -> None:
         pygame.font.init()
         self._fonts: dict[int, pygame.font.Font] = {}
+        self._sizes: dict[tuple[str, int], tuple[int, int]] = {}
         self._pictures: dict[tuple[str, int, Colour], pygame.Surface] = {}
         self.placed: list[pygame.Rect] = []
         self.texts: list[str] = []
@@ -44,8 +45,13 @@ class Lettering:
 
     def measure(self, text: str, size: int) -> tuple[int, int]:
         """Width and height of a text [pixel]."""
-        width, height = self._font(size).size(text)
-        return -(-width // _FINE), -(-height // _FINE)
+        found = self._sizes.get((text, size))
+        if found is None:
+            if len(self._sizes) >= _MAX_KEPT:
+                self._sizes.clear()
+            width, height = self._font(size).size(text)
+            found = self._sizes[text, size] = -(-width // _FINE), -(-height // _FINE)
+        return found
 
     def shorten(self, text: str, size: int, width: int) -> str:
         """The text, or its start with an ellipsis, within a width [pixel]."""

@@ -1,5 +1,8 @@
 """The picture of one time step."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,37 +32,48 @@ class Painter:
 
     Args:
         scenario: of the road.
-        options: of the view.
+        options: of the view; a mapping may leave fields out.
         title: for the panel, for example the policy's name.
 
     Raises:
-        MissingExtraError: pygame is not installed.
+        ValueError: an option is not valid.
     """
 
     def __init__(
-        self, scenario: Scenario, options: ViewOptions | None = None, *, title: str = ""
+        self,
+        scenario: Scenario,
+        options: ViewOptions | Mapping[str, Any] | None = None,
+        *,
+        title: str = "",
     ) -> None:
-        self.options = options if options is not None else ViewOptions()
+        self.options = ViewOptions.make(options)
         self.layout = make_layout(scenario, self.options)
         self.lettering = Lettering()
-        self._camera = Camera(scenario, self.layout.camera.size, self.options.span)
+        self.camera = Camera(scenario, self.layout.camera.size, self.options.span)
         self._spotlight = Spotlight(self.options)
-        self._scene = Scene(scenario, self.layout, self._camera, self.lettering)
+        self._scene = Scene(scenario, self.layout, self.camera, self.lettering)
         self._strips = Strips(scenario, self.layout)
         self._panel = Panel(scenario, self.layout, self.lettering, title, self.options.speed)
         self._legend = Legend(scenario, self.layout, self.lettering)
         self._surface = pygame.Surface(self.options.size, depth=32)
         self._ground = self._draw_ground()
+        top = self.layout.camera.bottom
+        # The camera's view is drawn anew as a whole.
+        self._below = pygame.Rect(0, top, self.options.size[0], self.options.size[1] - top)
+
+    def note(self, frame: Frame) -> None:
+        """Remember what happens in a frame that is not drawn, for the next ones that are."""
+        self._spotlight.look(frame)
 
     def draw(self, frame: Frame) -> Picture:
         """The picture of a frame, (height, width, 3) uint8."""
         focus = self._spotlight.look(frame)
         incidents = self._spotlight.incidents
-        self._camera.look_at(focus.position)
+        self.camera.look_at(focus.position)
         self.lettering.begin()
-        self._surface.blit(self._ground, (0, 0))
+        self._surface.blit(self._ground, self._below.topleft, self._below)
         self._panel.draw(self._surface, frame, focus, incidents)
-        self._strips.draw(self._surface, frame, focus, self._camera)
+        self._strips.draw(self._surface, frame, focus, self.camera)
         self._scene.draw(self._surface, frame, focus, incidents)
         return self._read()
 
@@ -75,9 +89,8 @@ class Painter:
 
     def _read(self) -> Picture:
         width, height = self.options.size
-        packed = pygame.surfarray.pixels2d(self._surface).T
-        channels = packed.view(np.uint8).reshape(height, width, 4)
         picture = np.empty((height, width, 3), np.uint8)
-        for index in range(3):
-            picture[:, :, index] = channels[:, :, 2 - index]
+        # A surface over the array's memory: pygame drops the fourth byte faster than numpy.
+        target = pygame.image.frombuffer(picture.data.cast("B"), (width, height), "RGB")
+        target.blit(self._surface, (0, 0))
         return picture

@@ -118,7 +118,7 @@ class Panel:
             part.pair(f"to the {side}", f"lane {row['origin_lane']} to {row['target_lane']}")
         else:
             part.pair("vehicle", f"{row['vehicle']}")
-        part.pair("speed", f"{row['speed']:.1f} m/s")
+        part.pair("speed", f"{row['speed']:.1f} m/s, {3.6 * row['speed']:.0f} km/h")
         part.pair("acceleration", _signed(row["acceleration"], 1, "m/s²"))
         if not is_live:
             part.pair("lane", f"{row['lane']}")
@@ -131,12 +131,9 @@ class Panel:
         names = ("action_yaw_acceleration", "action_acceleration")
         for name, dimension in zip(names, CHANGER.act(self._scenario), strict=False):
             value = float(row[name])
-            bound = max(-dimension.low, dimension.high)
             label = {"yaw_acceleration": "steering"}.get(dimension.name, "throttle")
-            number = (
-                "-" if math.isnan(value) else _signed(value, 2, dimension.unit.replace("^2", "²"))
-            )
-            part.bar(label, number, 0.0 if math.isnan(value) else value / bound, SAFE_GAP)
+            number = _signed(value, 2, dimension.unit.replace("^2", "²"))
+            part.bar(label, number, value / max(-dimension.low, dimension.high), SAFE_GAP)
 
     def _gap(self, rows: Rows, row: np.void, name: str) -> str:
         """Bumper to bumper."""
@@ -213,13 +210,14 @@ class _Part:
         Args:
             name: on the left.
             value: on the right.
-            share: of the half bar, -1 to 1.
+            share: of the half bar, -1 to 1; nan for no bar.
             colour: of the bar.
         """
         rect, text, surface = self._rect, self._layout.text, self._surface
         width = max(self._lettering.measure(value, text)[0], 4 * text)
         left, right = rect.left + 9 * text, rect.right - width - text // 2
-        if self._top + text <= rect.bottom and right - left > 2 * text:
+        is_shown = self._top + text <= rect.bottom and right - left > 2 * text
+        if is_shown and not math.isnan(share):
             height = round(0.62 * text)
             box = pygame.Rect(left, self._top + round(0.18 * text), right - left, height)
             surface.fill(BACKGROUND, box)
@@ -232,7 +230,9 @@ class _Part:
 
 
 def _signed(value: float, digits: int, unit: str = "") -> str:
-    """A number with its sign; 0 has none."""
+    """A number with its sign; 0 has none, and nan is no number."""
+    if math.isnan(value):
+        return "-"
     text = f"{value:+.{digits}f}"
     if float(text) == 0.0:
         text = text[1:]

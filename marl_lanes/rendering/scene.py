@@ -105,7 +105,6 @@ class Scene:
         body = scenario.vehicle
         self._sprites = Sprites(body.length * camera.scale, body.width * camera.scale)
         self._labels = Labels(scenario, layout, camera, lettering)
-        self._view = pygame.Surface(layout.camera.size, depth=32)
 
     def draw(
         self, surface: "pygame.Surface", frame: Frame, focus: Focus, incidents: list[Incident]
@@ -113,12 +112,12 @@ class Scene:
         """Draw the view into its place on the whole picture."""
         rows, camera = frame.rows, self._camera
         gap = None if focus.row is None else find_gap(self._scenario, rows, focus.row, camera)
-        self._ground.draw(self._view, None if gap is None else gap.lane, gap)
+        view = surface.subsurface(self._place)
+        self._ground.draw(view, None if gap is None else gap.lane, gap)
         cars = self._find_cars(rows)
         looks = find_looks(rows[cars.rows], frame.time)
         found = map(self._sprites.find, looks, cars.x, cars.y, cars.angles)
-        self._view.fblits(list(found), pygame.BLEND_PREMULTIPLIED)
-        surface.blit(self._view, self._place)
+        view.fblits(list(found), pygame.BLEND_PREMULTIPLIED)
         self._labels.draw(surface, frame, focus, incidents, gap, self._cover(cars))
 
     def _find_cars(self, rows: Rows) -> Cars:

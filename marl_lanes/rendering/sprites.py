@@ -24,8 +24,8 @@ PHASES = 4
 _MAX_KEPT = 8192
 """Pictures; beyond that all are drawn anew."""
 
-_MIN_WINDOWED, _MIN_PATTERNED = 5.0, 7.0
-"""[pixel] Least widths of vehicles with windows, and with patterned outlines."""
+_MIN_OUTLINED, _MIN_PATTERNED = 5.0, 7.0
+"""[pixel] Least widths of vehicles with outlines and windows, and with patterned outlines."""
 
 _BLACK = (12, 14, 17)
 _GLASS = (38, 46, 58)
@@ -59,7 +59,7 @@ class Sprites:
     def __init__(self, length: float, width: float) -> None:
         self.length = length
         self.width = width
-        self._factor = min(max(math.ceil(48.0 / width), 3), 10)
+        self._factor = PHASES * min(max(math.ceil(12.0 / width), 1), 3)
         self._flat: dict[Look, pygame.Surface] = {}
         self._turned: dict[tuple[Look, int, int, int], tuple[pygame.Surface, int, int]] = {}
 
@@ -72,7 +72,7 @@ class Sprites:
             y: of the middle, down [pixel].
             angle: of the heading, counterclockwise from the right [rad].
         """
-        column, row = math.floor(x * PHASES), math.floor(y * PHASES)
+        column, row = round(x * PHASES), round(y * PHASES)
         turn = round(math.degrees(angle) / ANGLE_STEP)
         key = (look, turn, column % PHASES, row % PHASES)
         found = self._turned.get(key)
@@ -94,8 +94,8 @@ class Sprites:
         width, height = (size / factor for size in turned.get_size())
         left, top = math.ceil(0.5 * width) + 1, math.ceil(0.5 * height) + 1
         canvas = pygame.Surface((2 * left * factor, 2 * top * factor), pygame.SRCALPHA)
-        x = (left + (column + 0.5) / PHASES - 0.5 * width) * factor
-        y = (top + (row + 0.5) / PHASES - 0.5 * height) * factor
+        x = (left + column / PHASES - 0.5 * width) * factor
+        y = (top + row / PHASES - 0.5 * height) * factor
         canvas.blit(turned, (round(x), round(y)), special_flags=pygame.BLEND_PREMULTIPLIED)
         return pygame.transform.smoothscale(canvas, (2 * left, 2 * top)), left, top
 
@@ -111,7 +111,7 @@ class Sprites:
         body.center = (size[0] // 2, size[1] // 2)
         thickness = self._draw_body(surface, body, look)
         inner = body.inflate(-2 * thickness, -2 * thickness)
-        if self.width >= _MIN_WINDOWED:
+        if self.width >= _MIN_OUTLINED and self.length > 1.5 * self.width:
             _draw_windows(surface, inner)
         if look.is_braking:
             _draw_brake_lights(surface, body)
@@ -126,11 +126,9 @@ class Sprites:
         colour = CHANGER if look.is_changer else VEHICLE
         outline = outline_of(look.disposition)
         is_plain = look.disposition == Disposition.NEUTRAL
-        if is_plain:
-            thin = 0.07 * self.width if self.width >= _MIN_WINDOWED else 0.0
-        else:
-            thin = max(0.15 * self.width, 1.2 if self.width >= _MIN_WINDOWED else 0.8)
-        thickness = round(thin * self._factor)
+        # In smaller vehicles the outline's colour would mix with the body's.
+        thin = 0.07 * self.width if is_plain else max(0.15 * self.width, 1.2)
+        thickness = round(thin * self._factor) if self.width >= _MIN_OUTLINED else 0
         radius = round(0.22 * body.height)
         # In smaller vehicles a pattern is no pattern any more.
         is_patterned = self.width >= _MIN_PATTERNED
@@ -163,8 +161,8 @@ def _draw_windows(surface: "pygame.Surface", body: "pygame.Rect") -> None:
     """Windscreen and rear window: the wide one is in front."""
     left, top, length, width = body
     for back, front, narrow_back, narrow_front in (
-        (0.60, 0.76, 0.20, 0.10),
-        (0.13, 0.21, 0.16, 0.22),
+        (0.57, 0.76, 0.25, 0.18),
+        (0.13, 0.21, 0.20, 0.25),
     ):
         pygame.draw.polygon(
             surface,

@@ -18,3 +18,10 @@ def test_without_pygame_the_error_names_the_extra():
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
     assert last.endswith("pygame: is not installed: pip install 'marl-lanes[view]'")
+
+
+def test_the_other_pygame_is_refused():
+    fake = "import sys, types; sys.modules['pygame'] = types.ModuleType('pygame')"
+    done = run(f"{fake}; {LOAD}")
+    assert done.returncode == 1
+    assert "pygame: pygame-ce is needed, and pygame is in its place" in done.stderr
