@@ -26,7 +26,7 @@ SUFFIXES = (*FILMS, STILL, *DATA)
 _ROUNDING = 1e-6
 """[s]"""
 
-_EXAMPLES = """\
+EXAMPLES = """\
 examples:
   marl-lanes record tuned-cascade --out film.mp4
   marl-lanes record runs/paper/checkpoints/final.pt --scenario dense --seed 3 --out film.gif
@@ -48,7 +48,7 @@ def add(commands: Commands) -> None:
         "--maneuver or --start and --seconds choose another part. Data files have the whole "
         "episode, or the chosen part. Several policies or followers go side by side, on one clock; "
         "then there is one data file for each, with its label in the name.",
-        epilog=_EXAMPLES,
+        epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     record.add_argument(

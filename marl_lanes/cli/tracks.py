@@ -96,6 +96,8 @@ def make_tracks(
 def _find_sources(
     policies: Sequence[str], followers: Sequence[str] | None, scenario: str | None, seed: int | None
 ) -> "dict[str, _Drive | Trajectory]":
+    from marl_lanes.envs.followers import find_policies
+    from marl_lanes.traffic.roles.external import choose_policies
     from marl_lanes.trajectory.file import read_trajectory
 
     kinds = {"": None} if followers is None else label_followers(followers)
@@ -120,6 +122,7 @@ def _find_sources(
             loaded = load_scenario(own_scenario or scenario or "paper", overrides)
             parts = [label] if len(labelled) > 1 or not kind else []
             title = ", ".join([*parts, *([f"{kind} followers"] if kind else [])])
+            choose_policies(loaded, find_policies(loaded), has_learner=False)
             policy = make_policy(name, loaded, 0 if seed is None else seed)
             sources[title] = _Drive(loaded, policy, name)
     return sources

@@ -20,7 +20,7 @@ from marl_lanes.trajectory.metadata import Metadata
 
 
 class RoadRecorder:
-    """Reads roads after every step, each until WATCHED_TIME after its episode's end.
+    """Reads roads after every step, each at most until WATCHED_TIME after its episode's end.
 
     Args:
         simulator: that has been reset; it is only read.

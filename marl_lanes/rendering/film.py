@@ -24,6 +24,8 @@ _FADE = 0.55
 """Brightness of a road whose recording is over."""
 _MIN_HEAD = 18
 """[pixel] Least height of the line above a road."""
+_GAP = 4
+"""[pixel] Between roads beside each other."""
 _ROUNDING = 1e-6
 """[s]"""
 
@@ -77,7 +79,8 @@ def choose_size(path: Path, number: int) -> tuple[int, int]:
         width and height [pixel].
     """
     width, height, row = (800, 450, 240) if path.suffix.lower() == ".gif" else (1280, 720, 320)
-    return width, max(height, row * _count_rows(number)[1])
+    columns, rows = _count_rows(number)
+    return max(width, columns * (MIN_SIZE[0] + _GAP)), max(height, row * rows)
 
 
 def write_film(
@@ -155,11 +158,11 @@ def arrange(number: int, size: tuple[int, int]) -> tuple[int, tuple[int, int], i
     if number == 1:
         return 1, size, 0
     columns, rows = _count_rows(number)
-    width = size[0] // columns // 2 * 2
-    head = 2 * max(_MIN_HEAD // 2, size[1] // (rows * 20))
+    width = (size[0] - (columns - 1) * _GAP) // columns // 2 * 2
+    head = 2 * max(_MIN_HEAD // 2, min(size[1] // (rows * 20), width // 50))
     height = size[1] // rows // 2 * 2 - head
     if width < MIN_SIZE[0] or height < MIN_SIZE[1]:
-        needed = columns * MIN_SIZE[0], rows * (MIN_SIZE[1] + _MIN_HEAD + 2)
+        needed = columns * (MIN_SIZE[0] + _GAP), rows * (MIN_SIZE[1] + _MIN_HEAD + 2)
         raise FilmError(
             f"size = {size}: must be at least {needed[0]} x {needed[1]} for {number} roads"
         )
@@ -195,7 +198,7 @@ class _Screen:
         for index, cell in enumerate(self._cells):
             own = cell.draw(time)
             row, column = divmod(index, self._columns)
-            top, left = row * own.shape[0], column * own.shape[1]
+            top, left = row * own.shape[0], column * (own.shape[1] + _GAP)
             picture[top : top + own.shape[0], left : left + own.shape[1]] = own
         return picture
 
@@ -223,13 +226,11 @@ class _Cell:
             return picture
         # The film goes on for the others.
         is_over = time > self.timeline.end + _ROUNDING
-        note = f"ends at {frame.time:.1f} s" if is_over else f"{frame.time:.1f} s"
-        if is_over:
-            picture = (_FADE * picture).astype(np.uint8)
-        whole = np.concatenate([self._draw_head(note), picture])
-        if is_over:
-            self._over = whole
-        return whole
+        if not is_over:
+            return np.concatenate([self._draw_head(""), picture])
+        faded = (_FADE * picture).astype(np.uint8)
+        self._over = np.concatenate([self._draw_head(f"ends at {frame.time:.1f} s"), faded])
+        return self._over
 
     def _draw_head(self, note: str) -> Picture:
         width, size = self._painter.options.size[0], round(0.6 * self._head)
@@ -238,7 +239,8 @@ class _Cell:
         self._lettering.begin()
         middle = 0.5 * self._head
         put = self._lettering.put
-        put(surface, note, (width - middle, middle), size, TEXT, anchor="midright")
+        if note:
+            put(surface, note, (width - middle, middle), size, TEXT, anchor="midright")
         room = width - 2 * self._head - self._lettering.measure(note, size)[0]
         title = self._lettering.shorten(self._title, size, room)
         put(surface, title, (middle, middle), size, TEXT, anchor="midleft")

@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from omegaconf import OmegaConf
@@ -25,6 +26,7 @@ from marl_lanes.training.checkpoint import (
     save_checkpoint,
 )
 from marl_lanes.training.config import ConfigError
+from marl_lanes.trajectory.file import read_trajectory
 
 torch.set_num_threads(1)
 
@@ -131,6 +133,7 @@ PHASE_FILES = {
     "training.json",
     "resume.pt",
     "checkpoints",
+    "trajectories",
     "tensorboard",
 }
 
@@ -138,6 +141,13 @@ PHASE_FILES = {
 def test_a_followers_run_folder_is_complete(single):
     run, _ = single
     assert names(run) == {*PHASE_FILES, "config.yaml", "evaluation.json"}
+    recorded = read_trajectory(run / "trajectories" / "final.parquet")
+    # The changer drives among followers that learn.
+    assert recorded.metadata.policy == "changer.pt"
+    assert np.isfinite(recorded.rows["follower_action"]).any()
+    assert names(run / "trajectories") == {
+        name.replace(".pt", ".parquet") for name in names(run / "checkpoints")
+    }
     metrics = rows(run / "metrics.csv")
     assert int(metrics[-1]["transitions"]) >= 120
     assert {row["stage"] for row in metrics} == {"1", "2"}

@@ -1,13 +1,15 @@
 """What commands share: modules of the user, outputs that cannot be written."""
 
 import json
+import re
 import sys
+from pathlib import Path
 
 import pytest
 from cli.commands import CROSSPLAY, FOLLOWERS
 
 from marl_lanes.cli import arguments
-from marl_lanes.cli.arguments import check_outputs, import_modules
+from marl_lanes.cli.arguments import check_outputs, check_trajectories, import_modules
 from marl_lanes.cli.main import main
 
 
@@ -64,3 +66,19 @@ def test_a_figure_needs_matplotlib(capsys, folder, monkeypatch):
     monkeypatch.setattr(arguments, "find_spec", lambda _: None)
     assert main([*FOLLOWERS, "--figure", str(folder / "x.png")]) == 2
     assert "pip install 'marl-lanes[train]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("rows.csv", "--trajectories rows.csv: must end in .parquet"),
+        ("deep.parquet", "--trajectories deep.parquet: must be a file, not a folder"),
+    ],
+)
+def test_a_file_of_trajectories_that_cannot_be_written(tmp_path, monkeypatch, name, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "deep.parquet").mkdir()
+    with pytest.raises(ValueError, match=re.escape(message)):
+        check_trajectories(Path(name))
+    check_trajectories(Path("new.parquet"))
+    check_trajectories(None)
