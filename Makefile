@@ -43,6 +43,8 @@ kernels: $(VENV)/installed
 figures: $(VENV)/installed
 	$(BIN)/marl-lanes followers --policy tuned-cascade --scenario dense \
 		--figure docs/figures/followers.svg --figure docs/figures/followers.png
+	$(BIN)/marl-lanes record tuned-cascade --scenario yielding --follow changer_7 --start 39 --seconds 9 \
+		--span 150 --size 800x500 --out docs/figures/highway.gif
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'

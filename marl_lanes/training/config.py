@@ -148,8 +148,8 @@ class EvaluationConfig(Section):
     )
     record: bool = Field(
         strict=True,
-        description="record the first road of each saved model's evaluation, and film the first "
-        "and the last model",
+        description="record the first road of each saved model's evaluation, film the first and "
+        "the last model, and make replays of the final model's failures",
     )
 
     @property
