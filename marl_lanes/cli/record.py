@@ -26,6 +26,14 @@ SUFFIXES = (*FILMS, STILL, *DATA)
 _ROUNDING = 1e-6
 """[s]"""
 
+# Broken by hand: the formatter that leaves the examples as they are wraps nothing.
+_DESCRIPTION = """\
+Drive one road for an episode and record it. A film shows the first lane change that is
+completed, from 2 s before its engagement to 3 s after it, unless --maneuver, --follow
+changer_K, or --start and --seconds choose another part. Data files have the whole episode, or
+the part of --maneuver, or of --start and --seconds. Several policies or followers go side by
+side, on one clock; then there is one data file for each, with its label in the name."""
+
 EXAMPLES = """\
 examples:
   marl-lanes record tuned-cascade --out film.mp4
@@ -43,11 +51,7 @@ def add(commands: Commands) -> None:
     record = commands.add_parser(
         "record",
         help="make films, stills and data of a policy on seeded traffic",
-        description="Drive one road for an episode and record it. A film shows the first lane "
-        "change that is completed, from 2 s before its engagement to 3 s after it, unless "
-        "--maneuver or --start and --seconds choose another part. Data files have the whole "
-        "episode, or the chosen part. Several policies or followers go side by side, on one clock; "
-        "then there is one data file for each, with its label in the name.",
+        description=_DESCRIPTION,
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -220,7 +224,10 @@ def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:
         return _Part(start, last if options.seconds is None else start + options.seconds)
     if options.at is not None and options.maneuver is None:
         return _Part(first, last)
-    excerpt = find_excerpt([track.rows for track in tracks], options.maneuver)
+    command = options.maneuver
+    if command is None and options.follow is not None and options.follow.startswith("changer_"):
+        command = int(options.follow.removeprefix("changer_"))
+    excerpt = find_excerpt([track.rows for track in tracks], command)
     if excerpt is None:
         return _Part(first, last)
     return _Part(excerpt.start, excerpt.end, excerpt)
