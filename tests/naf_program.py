@@ -26,6 +26,9 @@ TINY = [
     "evaluation.final_num_maneuvers=3",
 ]
 
+UNRECORDED = "evaluation.record=false"
+"""For runs whose film and replays nobody looks at, which take most of their time."""
+
 
 def prepare(folder):
     """The folder, with the scenario in it."""

@@ -34,6 +34,7 @@ TINY = [
     "evaluation.save_interval=80",
     "evaluation.num_maneuvers=2",
     "evaluation.final_num_maneuvers=2",
+    "evaluation.record=false",
 ]
 TABLES = ("metrics.csv", "maneuvers.csv", "evaluations.csv", "evaluation.json")
 pytestmark = [

@@ -17,6 +17,7 @@ from films import read_pictures
 from naf_program import (
     PROGRAM,
     TINY,
+    UNRECORDED,
     assert_same_weights,
     prepare,
     run_program,
@@ -31,6 +32,7 @@ from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.evaluation.recording import record_road
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
+from marl_lanes.report.replays import RECORDING
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
@@ -91,6 +93,7 @@ def test_the_run_folder_is_complete(whole):
         "trajectories",
         "figures",
         "film.mp4",
+        "replays",
         "tensorboard",
     }
     assert {path.name for path in (run / "figures").iterdir()} == FIGURES
@@ -119,7 +122,9 @@ def test_a_road_of_every_saved_model_is_recorded(whole):
         # The evaluation ends with the last vehicle that it observes.
         rows = again.rows[again.rows["step"] <= trajectory.rows["step"].max()]
         assert rows.tobytes() == trajectory.rows.tobytes()
-    assert len(list((run / "trajectories").iterdir())) == len(list((run / "checkpoints").iterdir()))
+    recorded = {path.stem for path in (run / "trajectories").iterdir()}
+    saved = {path.stem for path in (run / "checkpoints").iterdir()}
+    assert recorded == saved | {RECORDING}
 
 
 def test_the_film_shows_two_models(whole):
@@ -260,7 +265,7 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_pa
 
 def test_the_papers_recipe(program, whole, tmp_path):
     reference, _ = whole
-    options = ["recipe=paper", "loss.target_interval=100", "seed=1", "output=paper"]
+    options = [UNRECORDED, "recipe=paper", "loss.target_interval=100", "seed=1", "output=paper"]
     run_main(program, prepare(tmp_path), *TINY, *options)
     run = tmp_path / "paper"
     assert OmegaConf.load(run / "config.yaml").loss.gamma == 0.95

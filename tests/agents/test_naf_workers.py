@@ -12,6 +12,7 @@ import pytest
 from naf_program import (
     PROGRAM,
     TINY,
+    UNRECORDED,
     assert_same_weights,
     prepare,
     start,
@@ -22,7 +23,7 @@ from programs import load_program, run_main
 from marl_lanes.training.resume import read_state
 
 TABLES = ("metrics.csv", "maneuvers.csv", "evaluations.csv")
-OPTIONS = [*TINY, "num_workers=2", "output=run"]
+OPTIONS = [*TINY, UNRECORDED, "num_workers=2", "output=run"]
 pytestmark = pytest.mark.training
 
 
