@@ -24,6 +24,7 @@ LONGITUDINAL = load_scenario(
 OTHER_FILES = [
     b"",
     b"hello\n",
+    b"broken",
     b"\x80\x02",
     b"PK\x03\x04 not a zip",
     bytes(range(256)),

@@ -4,9 +4,9 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from marl_lanes.cli import comparisons, record, replay, report, scenarios
+from marl_lanes.cli import comparisons, record, replay, report, scenarios, watch
 
-COMMANDS = (scenarios, comparisons, record, replay, report)
+COMMANDS = (scenarios, comparisons, record, replay, report, watch)
 """The modules of commands, in the order of the help; each has ``add(commands)``."""
 
 

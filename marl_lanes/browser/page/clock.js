@@ -11,6 +11,10 @@ export class Clock extends EventTarget {
     this.last = 0;
     this.speed = 1;
     this.isPlaying = false;
+    /** Whether more will come: at the last time it then waits, and does not end. */
+    this.isOpen = false;
+    /** Of the speed: how a stream keeps its distance from the newest. */
+    this.pace = 1;
     this.before = null;
   }
 
@@ -27,7 +31,7 @@ export class Clock extends EventTarget {
   }
 
   play() {
-    if (this.time >= this.last) this.time = this.first;
+    if (this.time >= this.last && !this.isOpen) this.time = this.first;
     this.setPlaying(true);
   }
 
@@ -62,8 +66,8 @@ export class Clock extends EventTarget {
     if (!this.isPlaying) return false;
     const passed = this.before === null ? 0 : (now - this.before) / 1000;
     this.before = now;
-    this.time = Math.min(this.time + passed * this.speed, this.last);
-    if (this.time >= this.last) this.pause();
+    this.time = Math.min(this.time + passed * this.speed * this.pace, this.last);
+    if (this.time >= this.last && !this.isOpen) this.pause();
     return true;
   }
 }

@@ -11,7 +11,7 @@ async function start() {
   // For the browser's console, and for tests.
   window.player = player;
   player.setOptima(read("optima"));
-  for (const chunk of read("chunks")) await player.store.append(chunk);
+  await player.store.append(...read("chunks"));
   player.start();
 }
 

@@ -76,6 +76,16 @@ export class Player {
     window.requestAnimationFrame((now) => this.frame(now));
   }
 
+  /** Show another episode of the same road, of which the store has no rows yet. */
+  restart(header) {
+    this.header = header;
+    this.store.header = header;
+    this.store.clear();
+    this.selection.set(-1, null);
+    this.selection.setAuto(true);
+    this.writeNames();
+  }
+
   writeNames() {
     const { scenario, policy, seed, road, description } = this.header;
     this.element("title").textContent = scenario;

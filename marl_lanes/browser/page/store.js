@@ -81,14 +81,17 @@ export class Store extends EventTarget {
     this.lastStep = 0;
   }
 
-  /** Add the chunk of the steps after the last one. */
-  async append(chunk) {
-    const columns = await decodeChunk(this.header, chunk);
-    const last = this.chunks.at(-1);
-    if (last && chunk.first_step <= last.lastStep) {
-      throw new Error(`chunk from step ${chunk.first_step}: must be after ${last.lastStep}`);
-    }
-    this.chunks.push(new Chunk(chunk, columns));
+  /** Add chunks of the steps after the last one. */
+  async append(...chunks) {
+    const read = chunks.map((chunk) => decodeChunk(this.header, chunk));
+    const decoded = await Promise.all(read);
+    chunks.forEach((chunk, i) => {
+      const last = this.chunks.at(-1);
+      if (last && chunk.first_step <= last.lastStep) {
+        throw new Error(`chunk from step ${chunk.first_step}: must be after ${last.lastStep}`);
+      }
+      this.chunks.push(new Chunk(chunk, decoded[i]));
+    });
     this.update();
   }
 

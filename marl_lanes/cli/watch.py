@@ -1,0 +1,98 @@
+"""The command that shows a running simulation in the browser."""
+
+import argparse
+import asyncio
+import gc
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from marl_lanes.cli.arguments import Commands, add_import, import_modules
+from marl_lanes.cli.policies import UNTRAINED, make_policy
+from marl_lanes.extras import need
+from marl_lanes.scenario import load_scenario
+
+if TYPE_CHECKING:
+    from marl_lanes.browser.episodes import Show
+
+
+def add(commands: Commands) -> None:
+    """Add ``watch``."""
+    watch = commands.add_parser(
+        "watch",
+        help="watch a policy, or the newest model of a training, drive in the browser",
+        description="Simulate a road and show it in the browsers of this computer, until Ctrl-C. "
+        "Of a run folder the newest saved model drives; a newer one takes over at the start of "
+        "the next episode.",
+        epilog="examples: marl-lanes watch tuned-cascade --open; marl-lanes watch runs/paper "
+        "--port 8000 --speed 2",
+    )
+    watch.add_argument(
+        "source",
+        metavar="RUN|POLICY",
+        help=f"a run folder, a checkpoint, or {', '.join(UNTRAINED)}",
+    )
+    watch.add_argument(
+        "--scenario", help="name or YAML file (default: that of the run, else paper)"
+    )
+    watch.add_argument("--seed", type=int, default=0, help="seed of the traffic (default: 0)")
+    watch.add_argument("--port", type=int, default=0, help="on 127.0.0.1 (default: a free one)")
+    watch.add_argument(
+        "--speed", type=float, default=1.0, help="relative to real time, 0.1 to 20 (default: 1)"
+    )
+    watch.add_argument("--open", action="store_true", help="open the page in the browser")
+    add_import(watch)
+    watch.set_defaults(run=_watch)
+
+
+def _watch(options: argparse.Namespace) -> None:
+    for package in ("starlette", "uvicorn"):
+        need(package, "view")
+
+    from marl_lanes.browser.hub import Hub
+    from marl_lanes.browser.server import LiveServer, open_socket
+    from marl_lanes.training.interruptions import note_interruptions
+
+    import_modules(options.modules)
+    show = _make_show(options)
+    with open_socket(options.port) as listener:
+        show.prepare()
+        address = "http://{}:{}/".format(*listener.getsockname())
+
+        def begin() -> None:
+            print(f"{address}  (Ctrl-C ends)", flush=True)
+            if options.open:
+                # Some browsers hold the call until they are closed.
+                threading.Thread(target=webbrowser.open, args=[address], daemon=True).start()
+
+        # What is loaded stays: without this, Python would search it all when it ends.
+        gc.freeze()
+        # uvicorn takes Ctrl-C as the wish to end, and passes it on when it has ended.
+        with note_interruptions():
+            asyncio.run(LiveServer(show, Hub(), begin=begin).run_on(listener))
+
+
+def _make_show(options: argparse.Namespace) -> "Show":
+    from marl_lanes.browser.episodes import Show
+    from marl_lanes.browser.models import FixedModel, Model, Models, RunModels
+
+    source, seed = options.source, options.seed
+    given = None if options.scenario is None else load_scenario(options.scenario)
+    models: Models
+    if source not in UNTRAINED and Path(source).is_dir():
+        run = RunModels(Path(source), given, warn=_warn)
+        scenario, models = run.scenario, run
+    else:
+        if source not in UNTRAINED and not Path(source).exists():
+            raise ValueError(
+                f"{source}: must be a run folder, a checkpoint, or one of {', '.join(UNTRAINED)}"
+            )
+        scenario = given or load_scenario("paper")
+        models = FixedModel(Model(source, make_policy(source, scenario, seed)))
+    return Show(scenario, models, seed=seed, speed=options.speed)
+
+
+def _warn(trouble: str) -> None:
+    print(f"warning: {trouble}", file=sys.stderr, flush=True)
