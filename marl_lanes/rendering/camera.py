@@ -18,7 +18,7 @@ BEHIND = 0.42
 MARGIN = 5.5
 """[m] Least strip of ground beside the road."""
 
-_CELL = 16
+CELL = 16
 """[pixel] Between the points at which places on the road are computed; linear in between."""
 
 _SPACING = 16.0
@@ -116,8 +116,8 @@ class Camera:
         if self._is_straight:
             yield slice(0, height), single
             return
-        for index, top in enumerate(range(0, height, _CELL)):
-            count = min(_CELL, height - top)
+        for index, top in enumerate(range(0, height, CELL)):
+            count = min(CELL, height - top)
             pairs = (grid[index : index + 2].T for grid in single)
             bands = [_spread_columns(_spread_columns(pair)[:, :count].T) for pair in pairs]
             yield slice(top, top + count), [band[:, :width] for band in bands]
@@ -155,12 +155,12 @@ class Camera:
 
 def _points(length: int) -> FloatArray:
     """Grid points over ``length`` pixels, the first and the last beyond the edges [pixel]."""
-    return np.arange(-(-length // _CELL) + 1) * float(_CELL)
+    return np.arange(-(-length // CELL) + 1) * float(CELL)
 
 
 def _spread_columns(values: FloatArray) -> FloatArray:
     """(rows, points) to (rows, pixels): linear between the points."""
-    share = ((np.arange(_CELL) + 0.5) / _CELL).astype(np.float32)
+    share = ((np.arange(CELL) + 0.5) / CELL).astype(np.float32)
     first = np.ascontiguousarray(values[:, :-1])[..., None]
     spread = np.diff(values, axis=1)[..., None] * share
     spread += first

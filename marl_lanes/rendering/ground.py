@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.rendering.camera import Camera, FloatArray
+from marl_lanes.rendering.camera import CELL, Camera, FloatArray
 from marl_lanes.rendering.loading import pygame
 from marl_lanes.rendering.palette import GROUND, MARKING, ROAD, Colour, mix
 from marl_lanes.scenario import Scenario
@@ -88,8 +88,10 @@ class Ground:
         self._camera = camera
         self._scale = camera.scale
         self._tables: dict[int | None, NDArray[np.uint32]] = {}
-        # Farther from the road all ground looks the same.
+        # Farther from the road all ground looks the same. Places are cut off there before the
+        # camera spreads them over the pixels of its cells, none of which may hold a marking then.
         reach = _POST_DISTANCE + 2.0 * max(_POST_WIDTH, _MIN_PIXELS / self._scale)
+        reach += math.sqrt(2.0) * CELL / self._scale
         self._lowest = -reach
         self._last_row = int((2.0 * reach + camera.road_width) * self._scale * _STEPS)
 

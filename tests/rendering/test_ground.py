@@ -10,8 +10,8 @@ from marl_lanes.rendering.palette import GROUND, MARKING, REFUSED_GAP, ROAD, SAF
 WIDTH = 3.75
 
 
-def paint(scenario, position, target_lane=None, gap=None, size=(1280, 300)):
-    camera = Camera(scenario, size, 128.0)
+def paint(scenario, position, target_lane=None, gap=None, size=(1280, 300), span=128.0):
+    camera = Camera(scenario, size, span)
     camera.look_at(position)
     surface = pygame.Surface(size, depth=32)
     Ground(scenario, camera).draw(surface, target_lane, gap)
@@ -110,6 +110,21 @@ def test_a_gap_outside_of_the_picture_is_not_drawn():
     _, without = paint(STRAIGHT, 500.0)
     _, picture = paint(STRAIGHT, 500.0, gap=gap)
     assert (picture == without).all()
+
+
+@pytest.mark.parametrize("span", [128.0, 300.0, 600.0])
+def test_the_edges_of_a_bend_do_not_waver(span):
+    camera, picture = paint(LEFT_BEND, 500.0, span=span)
+    beside = 2.0 / camera.scale
+    for place in np.arange(453.0, 547.0, 0.5):
+        if abs(place - 500.0) < 5.0:
+            continue  # A post.
+        for middle in (-0.15, 3 * WIDTH + 0.15):
+            light = [
+                np.mean(colour_at(camera, picture, place, middle + side * (0.15 + beside)))
+                for side in (-1, 0, 1)
+            ]
+            assert light[1] > 110.0 > 70.0 > max(light[0], light[2]), (place, middle)
 
 
 def test_edges_are_smooth():
