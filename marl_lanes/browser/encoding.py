@@ -31,9 +31,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.trajectory.appearance import BRAKE_LIGHT
 from marl_lanes.trajectory.columns import COLUMNS, Column
 from marl_lanes.trajectory.events import Event
-from marl_lanes.trajectory.exports import BRAKE_LIGHT
 from marl_lanes.trajectory.frames import Rows
 from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
 from marl_lanes.trajectory.road_line import RoadLine

@@ -23,6 +23,7 @@ from marl_lanes.rendering.spotlight import Focus, Incident
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import NONE, Phase
 from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.trajectory.appearance import is_commanded
 from marl_lanes.trajectory.columns import COLUMNS
 from marl_lanes.trajectory.frames import Frame, Rows
 
@@ -81,13 +82,12 @@ class Panel:
     def _draw_time(self, part: "_Part", frame: Frame) -> None:
         part.write(f"{frame.time:.1f} s", TEXT, scale=2)
         rows = frame.rows
-        num_live = int((rows["phase"] != Phase.ABSENT).sum())
         if self._title:
             part.write(self._title, TEXT)
         part.write(self._scenario.name, TEXT)
         part.write(f"road {frame.road}", MUTED)
         part.write(f"{rows.size} vehicles", MUTED)
-        part.write(f"{num_live} commanded", MUTED)
+        part.write(f"{int(is_commanded(rows).sum())} commanded", MUTED)
         if self._speed != 1.0:
             part.write(f"{self._speed:g} x speed", MUTED)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from marl_lanes.rendering.options import ViewOptions
 from marl_lanes.traffic.machine.state import NONE, Fate, Outcome, Phase
+from marl_lanes.trajectory.appearance import is_lost
 from marl_lanes.trajectory.frames import Frame
 
 HOLD_TIME = 2.0
@@ -93,9 +94,9 @@ class Spotlight:
         self.incidents = [one for one in self.incidents if frame.time < one.time + HOLD_TIME]
         known = {one.vehicle for one in self.incidents if one.time == frame.time}
         rows = frame.rows
-        fate, outcome = rows["fate"], rows["outcome"]
-        is_lost = (fate == Fate.COLLIDES) | (fate == Fate.STRAYS)
-        for index in np.flatnonzero(is_lost | (outcome != Outcome.UNFINISHED)).tolist():
+        for index in np.flatnonzero(
+            is_lost(rows) | (rows["outcome"] != Outcome.UNFINISHED)
+        ).tolist():
             row = rows[index]
             vehicle = int(row["vehicle"])
             if vehicle in known:

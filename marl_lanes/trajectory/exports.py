@@ -9,9 +9,10 @@ import numpy as np
 
 from marl_lanes.extras import need
 from marl_lanes.files import replacing
-from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
+from marl_lanes.traffic.machine.state import NONE
+from marl_lanes.trajectory.appearance import indicated_side, is_braking
 from marl_lanes.trajectory.file import Trajectory, make_table
-from marl_lanes.trajectory.frames import Frame
+from marl_lanes.trajectory.frames import Frame, Rows
 from marl_lanes.trajectory.metadata import TrajectoryError
 from marl_lanes.trajectory.road_line import RoadLine
 
@@ -20,8 +21,6 @@ _RIGHT, _LEFT = 1, 2
 """Bits of SUMO's signals for the blinkers."""
 _BRAKE = 8
 """Bit of SUMO's signals for the brake lights."""
-BRAKE_LIGHT = -0.5
-"""[m/s^2] The brake lights are on at an acceleration below this."""
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:
@@ -96,6 +95,7 @@ def _vehicles(frame: Frame, line: RoadLine) -> list[dict[str, str]]:
     profiles = tuple(frame.scenario.drivers.profiles)
     lane = np.floor(rows["lateral_position"] / frame.scenario.road.lane_width)
     lane = np.clip(lane, 0, frame.scenario.road.num_lanes - 1)
+    signals = _signals(rows)
     found = []
     for index, row in enumerate(rows):
         is_changer = row["command"] != NONE
@@ -109,20 +109,14 @@ def _vehicles(frame: Frame, line: RoadLine) -> list[dict[str, str]]:
                 "speed": f"{row['speed']:.3f}",
                 "pos": f"{ahead[index]:.3f}",
                 "lane": f"road_{int(lane[index])}",
-                "signals": str(_signals(row)),
+                "signals": str(signals[index]),
                 "acceleration": f"{row['acceleration']:.3f}",
             }
         )
     return found
 
 
-def _signals(row: np.void) -> int:
-    signals = _BRAKE if row["acceleration"] < BRAKE_LIGHT else 0
-    turning = int(row["moving_over"])
-    if row["command"] != NONE and row["outcome"] == Outcome.UNFINISHED:
-        turning = int(row["direction"])
-        if row["phase"] == Phase.ABORTING:
-            turning = -turning
-    if turning:
-        signals |= _LEFT if turning > 0 else _RIGHT
-    return signals
+def _signals(rows: Rows) -> list[int]:
+    side = indicated_side(rows)
+    signals = _LEFT * (side > 0) + _RIGHT * (side < 0) + _BRAKE * is_braking(rows)
+    return [int(one) for one in signals]

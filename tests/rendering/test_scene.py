@@ -66,13 +66,14 @@ def test_what_a_vehicle_looks_like():
         {"position": 3.0, "moving_over": 1, "acceleration": -0.4},
         {"position": 4.0, "disposition": 4, "fate": Fate.STRAYS},
         {"position": 5.0, "outcome": Outcome.COMPLETED, "fate": Fate.LEAVES, "disposition": 2},
+        commanded(6.0, direction=-1, phase=Phase.ABORTING),
     ).rows
     looks = find_looks(rows, 0.0)
-    assert [look.is_changer for look in looks] == [False, True, False, False, True]
-    assert [look.is_braking for look in looks] == [False, True, False, False, False]
-    assert [look.indicator for look in looks] == [0, -1, 1, 0, 0]
-    assert [look.is_lost for look in looks] == [False, False, False, True, False]
-    assert [look.disposition for look in looks][2:] == [
+    assert [look.is_changer for look in looks] == [False, True, False, False, True, True]
+    assert [look.is_braking for look in looks] == [False, True, False, False, False, False]
+    assert [look.indicator for look in looks] == [0, -1, 1, 0, 0, 1]
+    assert [look.is_lost for look in looks] == [False, False, False, True, False, False]
+    assert [look.disposition for look in looks][2:5] == [
         Disposition.COOPERATIVE,
         Disposition.EXTERNAL,
         Disposition.ADVERSARIAL,

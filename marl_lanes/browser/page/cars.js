@@ -67,7 +67,7 @@ export class Cars {
       if (length > 16) this.drawWindows(context, length, width);
       this.drawOutline(context, colours, disposition, length, width);
       if (isBraking) this.drawBrakes(context, colours, length, width);
-      if (turn !== 0 && Math.floor(scene.time / BLINK) % 2 === 0) {
+      if (turn !== 0 && Math.floor(scene.time / BLINK + 1e-6) % 2 === 0) {
         this.drawIndicator(context, colours, length, width, turn);
       }
       if (isHit) this.drawCross(context, colours, length);
@@ -165,7 +165,7 @@ export class Cars {
 
   /** The gap in the target lane, between the vehicles that the rule looks at. */
   drawGap(context, colours, scene, i) {
-    if (scene.value("command", i) < 0) return;
+    if (this.names.phase[scene.value("phase", i)] === "absent") return;
     const { camera, header } = this;
     const half = header.vehicle_length / 2;
     const ends = [
