@@ -43,4 +43,9 @@ def make_policy(name: str, scenario: Scenario, seed: int) -> Any:
         lateral = name.removesuffix("-prior")
         mu = lateral if scenario.action.longitudinal is None else f"{lateral}+idm"
         return greedy_policy(make_network(scenario, mu))
+    if not Path(name).exists():
+        names = ", ".join(UNTRAINED)
+        raise ValueError(
+            f"checkpoint {name}: cannot be read: there is no such file; without learning: {names}"
+        )
     return greedy_policy(load_policy(Path(name), scenario).network)

@@ -139,6 +139,8 @@ def _record(options: argparse.Namespace) -> None:
         road=options.road,
         last_time=last_time,
     )
+    if options.follow is not None:
+        _check_follow(tracks, options.follow)
     part = _choose_part(tracks, options)
     for path, suffix in outputs.items():
         if suffix in DATA:
@@ -181,6 +183,8 @@ def _read_views(
         need("pyarrow", "view")
     pictures = [path for path, suffix in outputs.items() if suffix not in DATA]
     if not pictures:
+        if options.follow is not None:
+            raise ValueError(f"--follow {options.follow}: is for pictures, which no --out names")
         return {}
     need("imageio_ffmpeg", "view")
     from marl_lanes.rendering.film import arrange, choose_size
@@ -205,6 +209,14 @@ def _read_views(
         arrange(number, view.size)
         views[path] = view
     return views
+
+
+def _check_follow(tracks: Sequence[Track], follow: str) -> None:
+    """Reject whom no road has: the picture would show somebody else."""
+    column = "command" if follow.startswith("changer_") else "vehicle"
+    number = int(follow.removeprefix("changer_"))
+    if not any((track.rows[column] == number).any() for track in tracks):
+        raise ValueError(f"--follow {follow}: must be on the road while it is recorded")
 
 
 def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:

@@ -109,7 +109,10 @@ def _place_panel(width: int, free: int, text: int) -> tuple[dict[str, "pygame.Re
     The top is 0. No panel is better than the time alone.
     """
     margin = round(0.7 * text)
-    height = round(PANEL_LINES * SPACING * text) + margin
+    # The last line needs its letters' height alone; above and below there is an edge.
+    height = (
+        (PANEL_LINES - 1) * round(SPACING * text) + math.ceil(1.15 * text) + 2 * round(0.6 * text)
+    )
     rows: list[list[str]] = [[]]
     for name, lines in COLUMNS.items():
         used = sum(COLUMNS[other] * text + margin for other in rows[-1])

@@ -161,6 +161,46 @@ def test_a_lane_change_is_seen(replay, open_page):
         assert moved == pytest.approx(replay.scenario.road.lane_width, abs=0.6)
 
 
+WRITTEN = """() => {
+    const written = [];
+    const { prototype } = CanvasRenderingContext2D;
+    const write = prototype.fillText;
+    prototype.fillText = function (text, x, y) {
+        if (this.canvas === player.canvas && this.font.includes('13px')) {
+            const half = this.measureText(text).width / 2;
+            written.push([x - half, x + half]);
+        }
+        write.call(this, text, x, y);
+    };
+    player.draw(0);
+    prototype.fillText = write;
+    return written;
+}"""
+
+
+def test_the_gaps_length_is_not_under_the_changer(replay, open_page):
+    found = 0
+    with open_page(replay.address) as page:
+        for command in replay.commands:
+            page.evaluate("(hash) => { location.hash = hash; }", f"#command={command.command}")
+            for step in range(command.first_step, command.last_step, 20):
+                page.evaluate(SEEK, step * replay.scenario.time_step)
+                view = view_of(page)
+                half = 0.5 * replay.scenario.vehicle.length * view["scale"]
+                for left, right in page.evaluate(WRITTEN):
+                    found += 1
+                    assert right < view["width"] / 2 - half or left > view["width"] / 2 + half
+    assert found >= 10
+
+
+def test_no_gap_is_drawn_once_the_change_is_completed(replay, open_page):
+    command = replay.completed
+    with open_page(f"{replay.address}#command={command.command}") as page:
+        for step, is_drawn in ((command.last_step - 1, True), (command.last_step, False)):
+            page.evaluate(SEEK, step * replay.scenario.time_step)
+            assert bool(page.evaluate(WRITTEN)) == is_drawn
+
+
 def test_between_two_steps_cars_are_between(replay, open_page):
     command = replay.completed
     dt = replay.scenario.time_step

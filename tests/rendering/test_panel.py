@@ -31,9 +31,18 @@ AGENT = commanded(
 CARS = (AGENT, {"position": 330.0}, {"position": 280.0})
 
 
-def paint(frame, row=0, *, incidents=(), scenario=STRAIGHT, title="cascade", speed=1.0):
-    layout, lettering = make_layout(scenario, ViewOptions()), Lettering()
-    surface = pygame.Surface((1280, 720), depth=32)
+def paint(
+    frame,
+    row=0,
+    *,
+    incidents=(),
+    scenario=STRAIGHT,
+    title="cascade",
+    speed=1.0,
+    size=(1280, 720),
+):
+    layout, lettering = make_layout(scenario, ViewOptions(size=size)), Lettering()
+    surface = pygame.Surface(size, depth=32)
     panel = Panel(scenario, layout, lettering, title, speed)
     panel.draw_ground(surface)
     vehicle = -1 if row is None else int(frame.rows["vehicle"][row])
@@ -76,12 +85,15 @@ def test_missing_neighbors_are_free():
     assert value_of(texts, "steering") == "-"
 
 
-def test_the_second_action_and_its_terms():
+@pytest.mark.parametrize("size", [(640, 360), (800, 450), (1024, 576), (1280, 720), (1920, 1080)])
+def test_the_second_action_and_its_terms(size):
     scenario = load_scenario("interactive")
     agent = {**AGENT, "action_acceleration": 1.5, "reward_longitudinal": -0.02}
-    _, texts, _ = paint(make_frame(agent, scenario=scenario), scenario=scenario)
+    layout, texts, _ = paint(make_frame(agent, scenario=scenario), scenario=scenario, size=size)
     assert value_of(texts, "throttle") == "+1.50 m/s²"
-    assert value_of(texts, "longitudinal") == "-0.020"
+    assert ("reward" in layout.panel) == (size[0] > 640)
+    if "reward" in layout.panel:
+        assert value_of(texts, "longitudinal") == "-0.020"
 
 
 @pytest.mark.parametrize("phase", [Phase.WAITING, Phase.ENGAGED, Phase.ABORTING])

@@ -184,7 +184,8 @@ export class Cars {
     context.globalAlpha = 1;
     if (!isEngaged) this.hatch(context, colours);
     if (scene.find(scene.value("target_follower", i)) >= 0 && scene.find(scene.value("target_leader", i)) >= 0) {
-      this.writeLength(context, colours, ends, 0.5 * (low + high));
+      const body = [scene.position[i] - half, scene.position[i] + half];
+      this.writeLength(context, colours, ends, body, 0.5 * (low + high));
     }
   }
 
@@ -204,15 +205,17 @@ export class Cars {
     context.restore();
   }
 
-  writeLength(context, colours, ends, lateral) {
+  /** In the larger part that is in sight, ahead of the changer or behind it. */
+  writeLength(context, colours, ends, body, lateral) {
     const { camera } = this;
     const length = ends[1] - ends[0];
     if (length * camera.scale < 60) return;
-    // Where the middle is out of sight, in the part that is in sight.
     const half = 0.5 * camera.span - 30 / camera.scale;
     const first = Math.max(ends[0], camera.position - half);
     const last = Math.min(ends[1], camera.position + half);
-    const point = camera.project(0.5 * (first + last), lateral, this.point);
+    const isAhead = last - body[1] >= body[0] - first;
+    const middle = isAhead ? 0.5 * (Math.max(first, body[1]) + last) : 0.5 * (first + Math.min(last, body[0]));
+    const point = camera.project(middle, lateral, this.point);
     context.font = "600 13px system-ui, sans-serif";
     context.textAlign = "center";
     context.textBaseline = "middle";

@@ -127,7 +127,7 @@ export class Plots {
 
 /** The costs in words. */
 function describe(optimum, maneuver) {
-  if (!optimum) return "The optimum was not computed for this replay.";
+  if (!optimum) return "The optimum was not computed.";
   if (optimum.reason) return `No optimum: ${optimum.reason}.`;
   const ratio = (optimum.driven_cost / optimum.cost).toFixed(3);
   const since = maneuver.numAborts ? " since it last engaged" : "";
