@@ -16,11 +16,9 @@ from marl_lanes.rendering.palette import REFUSED_GAP, SAFE_GAP
 from marl_lanes.rendering.spotlight import Focus, Incident
 from marl_lanes.rendering.sprites import Look, Sprites
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.machine.state import NONE, Disposition, Fate, Outcome, Phase
+from marl_lanes.traffic.machine.state import NONE, Disposition, Phase
 from marl_lanes.trajectory.frames import Frame, Rows
-
-BRAKING = -0.5
-"""[m/s^2] A vehicle that decelerates more shows its brake lights."""
+from marl_lanes.trajectory.signals import are_braking, are_commanded, are_lost, find_indicators
 
 BLINK_TIME = 0.4
 """[s] An indicator is lit and dark for so long."""
@@ -45,15 +43,12 @@ def is_lit(time: float) -> bool:
 
 def find_looks(rows: Rows, time: float) -> list[Look]:
     """What the vehicles look like at a time [s]."""
-    is_agent = (rows["phase"] != Phase.ABSENT) | (rows["outcome"] != Outcome.UNFINISHED)
-    side = np.where(is_agent, rows["direction"], rows["moving_over"])
-    disposition = np.minimum(rows["disposition"], Disposition.EXTERNAL)
     columns = (
-        is_agent,
-        disposition,
-        rows["acceleration"] < BRAKING,
-        side * is_lit(time),
-        (rows["fate"] == Fate.COLLIDES) | (rows["fate"] == Fate.STRAYS),
+        are_commanded(rows),
+        np.minimum(rows["disposition"], Disposition.EXTERNAL),
+        are_braking(rows),
+        find_indicators(rows) * is_lit(time),
+        are_lost(rows),
     )
     return list(map(Look, *(column.tolist() for column in columns)))
 

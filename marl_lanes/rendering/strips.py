@@ -13,8 +13,8 @@ from marl_lanes.rendering.palette import GRID, MARKING, MUTED, ROAD, TEXT, mix
 from marl_lanes.rendering.spotlight import Focus
 from marl_lanes.rendering.sprites import Look, Sprite, Sprites
 from marl_lanes.scenario import Scenario
-from marl_lanes.traffic.machine.state import Fate, Phase
 from marl_lanes.trajectory.frames import Frame, Rows
+from marl_lanes.trajectory.signals import are_commanded, are_lost
 
 _MIN_LENGTH, _MIN_WIDTH = 3.0, 2.0
 """Least size of a vehicle [pixel]."""
@@ -107,12 +107,10 @@ class Strips:
         x, y = places[0].tolist(), places[1].tolist()
         ratio = self._across / self._along
         yaw = np.arctan2(np.sin(rows["yaw"]) * ratio, np.cos(rows["yaw"])).tolist()
-        is_agent = (rows["phase"] != Phase.ABSENT) | (rows["outcome"] != 0)
-        is_lost = (rows["fate"] == Fate.COLLIDES) | (rows["fate"] == Fate.STRAYS)
         pictures: list[Sprite] = []
         above: list[Sprite] = []
         for number, (is_red, is_gone) in enumerate(
-            zip(is_agent.tolist(), is_lost.tolist(), strict=True)
+            zip(are_commanded(rows).tolist(), are_lost(rows).tolist(), strict=True)
         ):
             look = Look(is_changer=is_red, is_lost=is_gone)
             is_large = is_red or is_gone or number == focus.row

@@ -9,19 +9,17 @@ import numpy as np
 
 from marl_lanes.extras import need
 from marl_lanes.files import replacing
-from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
 from marl_lanes.trajectory.file import Trajectory, make_table
-from marl_lanes.trajectory.frames import Frame
+from marl_lanes.trajectory.frames import Frame, Rows
 from marl_lanes.trajectory.metadata import TrajectoryError
 from marl_lanes.trajectory.road_line import RoadLine
+from marl_lanes.trajectory.signals import are_braking, are_commanded, find_indicators
 
 _FCD_SCHEMA = "http://sumo.dlr.de/xsd/fcd_file.xsd"
 _RIGHT, _LEFT = 1, 2
 """Bits of SUMO's signals for the blinkers."""
 _BRAKE = 8
 """Bit of SUMO's signals for the brake lights."""
-BRAKE_LIGHT = -0.5
-"""[m/s^2] The brake lights are on at an acceleration below this."""
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:
@@ -76,7 +74,7 @@ def write_fcd(path: Path, trajectory: Trajectory, road: int | None = None) -> No
         )
         for frame in trajectory.frames(road):
             xml.characters("\n")
-            xml.startElement("timestep", AttributesImpl({"time": f"{frame.time:.2f}"}))
+            xml.startElement("timestep", AttributesImpl({"time": f"{frame.time:.3f}"}))
             for attributes in _vehicles(frame, line):
                 xml.characters("\n  ")
                 xml.startElement("vehicle", AttributesImpl(attributes))
@@ -96,33 +94,27 @@ def _vehicles(frame: Frame, line: RoadLine) -> list[dict[str, str]]:
     profiles = tuple(frame.scenario.drivers.profiles)
     lane = np.floor(rows["lateral_position"] / frame.scenario.road.lane_width)
     lane = np.clip(lane, 0, frame.scenario.road.num_lanes - 1)
+    is_changer, signals = are_commanded(rows), _find_signals(rows)
     found = []
     for index, row in enumerate(rows):
-        is_changer = row["command"] != NONE
         found.append(
             {
                 "id": str(row["vehicle"]),
                 "x": f"{x[index] + half * math.cos(heading[index]):.3f}",
                 "y": f"{y[index] + half * math.sin(heading[index]):.3f}",
                 "angle": f"{angle[index]:.3f}",
-                "type": "changer" if is_changer else profiles[row["profile"]],
+                "type": "changer" if is_changer[index] else profiles[row["profile"]],
                 "speed": f"{row['speed']:.3f}",
                 "pos": f"{ahead[index]:.3f}",
                 "lane": f"road_{int(lane[index])}",
-                "signals": str(_signals(row)),
+                "signals": str(signals[index]),
                 "acceleration": f"{row['acceleration']:.3f}",
             }
         )
     return found
 
 
-def _signals(row: np.void) -> int:
-    signals = _BRAKE if row["acceleration"] < BRAKE_LIGHT else 0
-    turning = int(row["moving_over"])
-    if row["command"] != NONE and row["outcome"] == Outcome.UNFINISHED:
-        turning = int(row["direction"])
-        if row["phase"] == Phase.ABORTING:
-            turning = -turning
-    if turning:
-        signals |= _LEFT if turning > 0 else _RIGHT
-    return signals
+def _find_signals(rows: Rows) -> list[int]:
+    side = find_indicators(rows)
+    blinkers = np.select([side > 0, side < 0], [_LEFT, _RIGHT], 0)
+    return [int(one) for one in blinkers | np.where(are_braking(rows), _BRAKE, 0)]
