@@ -13,10 +13,10 @@ from marl_lanes.cli.policies import UNTRAINED
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.tracks import RECORDED, Track, make_tracks
 from marl_lanes.extras import need
+from marl_lanes.rendering.options import ViewOptions
 
 if TYPE_CHECKING:
     from marl_lanes.rendering.excerpt import Excerpt
-    from marl_lanes.rendering.options import ViewOptions
 
 FILMS = (".mp4", ".gif")
 STILL = ".png"
@@ -126,7 +126,9 @@ class _Part:
 def _record(options: argparse.Namespace) -> None:
     outputs = {path: _suffix_of(path) for path in options.out}
     _check_times(options, is_still=STILL in outputs.values())
-    views = _read_views(outputs, options)
+    given = _read_view(options)
+    followed = ViewOptions.make(given).followed_command
+    views = _choose_views(outputs, given, len(options.policies) * len(options.followers or [""]))
     import_modules(options.modules)
     last_time = None
     if options.seconds is not None:
@@ -139,7 +141,7 @@ def _record(options: argparse.Namespace) -> None:
         road=options.road,
         last_time=last_time,
     )
-    part = _choose_part(tracks, options)
+    part = _choose_part(tracks, options, followed)
     for path, suffix in outputs.items():
         if suffix in DATA:
             is_whole = options.maneuver is None and options.start is None and last_time is None
@@ -173,19 +175,8 @@ def _check_times(options: argparse.Namespace, *, is_still: bool) -> None:
         raise ValueError(f"--at {options.at:g}: is the time of a {STILL}, which no --out names")
 
 
-def _read_views(
-    outputs: Mapping[Path, str], options: argparse.Namespace
-) -> "dict[Path, ViewOptions]":
-    """The options of the view for each picture, checked before anything is driven."""
-    if any(suffix in DATA for suffix in outputs.values()):
-        need("pyarrow", "view")
-    pictures = [path for path, suffix in outputs.items() if suffix not in DATA]
-    if not pictures:
-        return {}
-    need("imageio_ffmpeg", "view")
-    from marl_lanes.rendering.film import arrange, choose_size
-    from marl_lanes.rendering.options import ViewOptions
-
+def _read_view(options: argparse.Namespace) -> dict[str, Any]:
+    """The fields of the view that are given."""
     given: dict[str, Any] = {}
     if options.size is not None:
         match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", options.size)
@@ -198,7 +189,21 @@ def _read_views(
     for name in ("span", "speed"):
         if getattr(options, name) is not None:
             given[name] = getattr(options, name)
-    number = len(options.policies) * len(options.followers or [""])
+    return given
+
+
+def _choose_views(
+    outputs: Mapping[Path, str], given: Mapping[str, Any], number: int
+) -> dict[Path, ViewOptions]:
+    """The options of the view for each picture of the roads, checked before anything is driven."""
+    if any(suffix in DATA for suffix in outputs.values()):
+        need("pyarrow", "view")
+    pictures = [path for path, suffix in outputs.items() if suffix not in DATA]
+    if not pictures:
+        return {}
+    need("imageio_ffmpeg", "view")
+    from marl_lanes.rendering.film import arrange, choose_size
+
     views = {}
     for path in pictures:
         view = ViewOptions.make({"size": choose_size(path, number), **given})
@@ -207,7 +212,9 @@ def _read_views(
     return views
 
 
-def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:
+def _choose_part(
+    tracks: Sequence[Track], options: argparse.Namespace, followed: int | None
+) -> _Part:
     from marl_lanes.rendering.excerpt import find_excerpt
 
     times = [track.rows["time"] for track in tracks]
@@ -224,9 +231,7 @@ def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:
         return _Part(start, last if options.seconds is None else start + options.seconds)
     if options.at is not None and options.maneuver is None:
         return _Part(first, last)
-    command = options.maneuver
-    if command is None and options.follow is not None and options.follow.startswith("changer_"):
-        command = int(options.follow.removeprefix("changer_"))
+    command = followed if options.maneuver is None else options.maneuver
     excerpt = find_excerpt([track.rows for track in tracks], command)
     if excerpt is None:
         return _Part(first, last)
@@ -234,7 +239,7 @@ def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:
 
 
 def _show(
-    path: Path, tracks: Sequence[Track], part: _Part, view: "ViewOptions", at: float | None
+    path: Path, tracks: Sequence[Track], part: _Part, view: ViewOptions, at: float | None
 ) -> None:
     """Write a film or a still."""
     from marl_lanes.rendering.excerpt import find_crossing
