@@ -15,6 +15,7 @@ from marl_lanes.traffic.machine.state import NONE
 from marl_lanes.trajectory.columns import COLUMNS, ROW, Column, new_rows
 from marl_lanes.trajectory.frames import Frame, Rows
 from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
+from marl_lanes.trajectory.road_line import MARGIN
 
 if TYPE_CHECKING:
     import pyarrow
@@ -246,6 +247,11 @@ def _read_rows(table: "pyarrow.Table", scenario: Scenario) -> Rows:
                 )
     if (rows["road"] < 0).any() or (rows["vehicle"] < 0).any():
         raise TrajectoryError("columns road and vehicle: must be at least 0")
+    start, end = -MARGIN, scenario.road.length + MARGIN
+    is_beyond = (rows["position"] < start) | (rows["position"] > end)
+    if is_beyond.any():
+        found = rows["position"][is_beyond][0]
+        raise TrajectoryError(f"column position: {found}: must be on the road, {start} to {end} m")
     times = rows["step"] * scenario.time_step
     is_wrong = np.abs(rows["time"] - times) > _TIME_ERROR
     if is_wrong.any():

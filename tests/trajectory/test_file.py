@@ -174,6 +174,10 @@ def test_a_table_of_something_else_is_refused(tmp_path):
             "column reward: inf: must be within",
         ),
         (
+            lambda table: replaced(table, "position", pyarrow.array([1e6] * table.num_rows)),
+            "column position: 1000000.0: must be on the road, -500.0 to ",
+        ),
+        (
             lambda table: replaced(table, "vehicle", pyarrow.array([-2] * table.num_rows)),
             "columns road and vehicle: must be at least 0",
         ),
