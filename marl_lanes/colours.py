@@ -31,6 +31,11 @@ class Theme:
     series: tuple[str, ...]
     """Lines of a plot, in the order of use; the last is grey, for what is behind the others."""
 
+    def variables(self) -> dict[str, str]:
+        """The colours by the names of their CSS variables: ``link``, ``series-0``, ..."""
+        plain = {name: value for name, value in vars(self).items() if name != "series"}
+        return plain | {f"series-{index}": value for index, value in enumerate(self.series)}
+
 
 LIGHT = Theme(
     background="#ffffff",

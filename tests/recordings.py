@@ -1,10 +1,10 @@
 """Recorded roads, for tests of what stands on trajectories."""
 
 from functools import cache
-
-import numpy as np
+from itertools import islice
 
 from marl_lanes import Simulator, load_scenario
+from marl_lanes.evaluation import driving
 from marl_lanes.evaluation.policies import make_tuned_cascade_policy
 from marl_lanes.trajectory.file import make_trajectory
 from marl_lanes.trajectory.frames import FrameReader
@@ -13,15 +13,9 @@ from marl_lanes.trajectory.metadata import Metadata
 
 def drive(simulator, steps, policy=None):
     """Step with the tuned cascade, or another policy; yields after the reset and each step."""
-    policy = policy or make_tuned_cascade_policy(simulator.scenario)
     yield
-    for _ in range(steps):
-        actions = np.zeros((simulator.num_envs, simulator.num_slots, simulator.num_actions))
-        acting = simulator.is_acting
-        if acting.any():
-            actions[acting] = policy(simulator.state.observations[acting])
-        simulator.step(actions)
-        yield
+    policy = policy or make_tuned_cascade_policy(simulator.scenario)
+    yield from islice(driving.drive(simulator, policy), steps)
 
 
 def record(
@@ -33,7 +27,7 @@ def record(
     simulator.reset()
     reader = FrameReader(simulator, roads)
     blocks = [reader.read() for _ in drive(simulator, steps, policy)]
-    return make_trajectory(Metadata(loaded, seed, "tuned-cascade", "0.0"), blocks)
+    return make_trajectory(Metadata(loaded, seed, "tuned-cascade"), blocks)
 
 
 @cache

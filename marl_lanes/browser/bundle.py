@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_lanes.browser.encoding import encode_chunk, encode_header
-from marl_lanes.colours import DARK, LIGHT, TRAFFIC, Theme
+from marl_lanes.colours import DARK, LIGHT, TRAFFIC
 from marl_lanes.files import write_atomically
 from marl_lanes.trajectory.events import find_events
 from marl_lanes.trajectory.file import Trajectory
@@ -55,10 +55,9 @@ def needed_modules(entry: str) -> list[str]:
 
 def make_style() -> str:
     """The page's style sheet: variables for the colours, then ``page/style.css``."""
-    dark = "{" + _variables(DARK) + "}"
-    traffic = "".join(_variable(name, value) for name, value in vars(TRAFFIC).items())
+    dark = "{" + _declare(DARK.variables()) + "}"
     variables = (
-        f":root{{{_variables(LIGHT)}{traffic}}}\n"
+        f":root{{{_declare(LIGHT.variables() | vars(TRAFFIC))}}}\n"
         f"@media(prefers-color-scheme:dark){{:root:not([data-theme=light]){dark}}}\n"
         f":root[data-theme=dark]{dark}\n"
     )
@@ -163,14 +162,8 @@ def write_replay(
     return len(page)
 
 
-def _variables(theme: Theme) -> str:
-    plain = {name: value for name, value in vars(theme).items() if name != "series"}
-    series = {f"series-{index}": value for index, value in enumerate(theme.series)}
-    return "".join(_variable(name, value) for name, value in (plain | series).items())
-
-
-def _variable(name: str, value: str) -> str:
-    return f"--{name.replace('_', '-')}:{value};"
+def _declare(variables: Mapping[str, str]) -> str:
+    return "".join(f"--{name.replace('_', '-')}:{value};" for name, value in variables.items())
 
 
 def _dump(value: Any) -> str:

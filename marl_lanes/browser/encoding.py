@@ -8,6 +8,7 @@ lane_width, road_length, vehicle_length, vehicle_width, max_braking, brake_light
 ``line`` has arrays ``position``, ``x``, ``y``, ``heading``: points of the road's right edge; the
 page interpolates between them. ``columns`` lists ``{name, type, unit, meaning, quantum,
 is_optional, names}``, as in ``trajectory/columns.py``; ``quantum`` is null for whole numbers.
+``seed`` is a text, because JavaScript rounds large numbers.
 
 A chunk is ``{first_step, last_step, num_rows, widths, data, events}``. Its rows are those of the
 steps from the first to the last, ordered by vehicle, then step: a vehicle's rows are contiguous.
@@ -31,12 +32,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.trajectory.appearance import BRAKE_LIGHT
 from marl_lanes.trajectory.columns import COLUMNS, Column
 from marl_lanes.trajectory.events import Event
 from marl_lanes.trajectory.frames import Rows
 from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
 from marl_lanes.trajectory.road_line import RoadLine
+from marl_lanes.trajectory.signals import BRAKE_LIGHT
 
 FORMAT = 1
 """Number of the form above."""
@@ -77,7 +78,7 @@ def encode_header(metadata: Metadata, road: int) -> dict[str, Any]:
         "scenario": scenario.name,
         "description": scenario.description,
         "policy": metadata.policy,
-        "seed": metadata.seed,
+        "seed": str(metadata.seed),
         "version": metadata.version,
         "road": road,
         "time_step": scenario.time_step,
@@ -166,13 +167,16 @@ def _encode_line(line: RoadLine) -> dict[str, list[float]]:
     """The points of the line that are needed, closer together where it bends."""
     kept = [0]
     last = line.position.size - 1
+    positions, headings = line.position.tolist(), line.heading.tolist()
+    low, high = sorted(headings[:2])
     for index in range(1, last):
         # A chord of length l on an arc that turns by b is l b/8 off.
-        length = line.position[index + 1] - line.position[kept[-1]]
+        length = positions[index + 1] - positions[kept[-1]]
         # From the turning within the chord, so that a bend to and fro counts.
-        turning = np.ptp(line.heading[kept[-1] : index + 2])
-        if length * turning / 8.0 > _LINE_ERROR:
+        low, high = min(low, headings[index + 1]), max(high, headings[index + 1])
+        if length * (high - low) / 8.0 > _LINE_ERROR:
             kept.append(index)
+            low, high = sorted(headings[index : index + 2])
     kept.append(last)
     return {
         "position": np.round(line.position[kept], 3).tolist(),

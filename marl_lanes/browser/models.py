@@ -3,16 +3,14 @@
 from collections.abc import Callable
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
-
-import yaml
+from typing import NamedTuple, Protocol
 
 from marl_lanes.evaluation.driving import Policy
 from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.training.checkpoint import load_policy
-from marl_lanes.training.config import CONFIG_FILE, ConfigError
-from marl_lanes.training.run_folder import FINAL_MODEL
+from marl_lanes.training.config import read_scenario_name
+from marl_lanes.training.run_folder import CHECKPOINTS_FOLDER, FINAL_MODEL
 
 
 class Model(NamedTuple):
@@ -29,26 +27,6 @@ class _File(NamedTuple):
     modified: int
     """[ns]"""
     size: int
-
-
-def read_scenario_name(folder: Path) -> str:
-    """The scenario of a run, from its configuration.
-
-    Raises:
-        ConfigError: the folder is not one of a run, or its configuration names no scenario.
-    """
-    path = folder / CONFIG_FILE
-    if not path.is_file():
-        raise ConfigError(f"run {folder}: must be a run folder; it has no {CONFIG_FILE}")
-    try:
-        fields: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"run {folder}: {CONFIG_FILE}: not readable as YAML: {reason}") from None
-    name = fields.get("scenario") if isinstance(fields, dict) else None
-    if not isinstance(name, str):
-        raise ConfigError(f"run {folder}: {CONFIG_FILE}: scenario = {name!r}: must be a name")
-    return name
 
 
 class Models(Protocol):
@@ -144,7 +122,7 @@ class RunModels:
 
     def _list(self) -> list[_File]:
         """The files that are there, the newest first."""
-        folder = self.folder / "checkpoints"
+        folder = self.folder / CHECKPOINTS_FOLDER
         found = []
         for path in [*sorted(folder.glob("step_*.pt"), reverse=True), folder / FINAL_MODEL]:
             try:

@@ -22,9 +22,12 @@ class Progress:
         percent = 100 * count // self.total
         if self.is_shown and percent != self.last:
             self.last = percent
-            print(f"\r{self.activity} {percent:3d} %", end="", file=sys.stderr, flush=True)
+            print(f"\r{self._line(percent)}", end="", file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Clear the line."""
         if self.is_shown:
-            print("\r" + " " * 20 + "\r", end="", file=sys.stderr)
+            print("\r" + " " * len(self._line(100)) + "\r", end="", file=sys.stderr)
+
+    def _line(self, percent: int) -> str:
+        return f"{self.activity} {percent:3d} %"

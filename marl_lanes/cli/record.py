@@ -13,10 +13,10 @@ from marl_lanes.cli.policies import UNTRAINED
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.tracks import RECORDED, Track, make_tracks
 from marl_lanes.extras import need
+from marl_lanes.rendering.options import ViewOptions
 
 if TYPE_CHECKING:
     from marl_lanes.rendering.excerpt import Excerpt
-    from marl_lanes.rendering.options import ViewOptions
 
 FILMS = (".mp4", ".gif")
 STILL = ".png"
@@ -126,7 +126,9 @@ class _Part:
 def _record(options: argparse.Namespace) -> None:
     outputs = {path: _suffix_of(path) for path in options.out}
     _check_times(options, is_still=STILL in outputs.values())
-    views = _read_views(outputs, options)
+    given = _read_view(options)
+    followed = ViewOptions.make(given).followed_command
+    views = _choose_views(outputs, given, len(options.policies) * len(options.followers or [""]))
     import_modules(options.modules)
     last_time = None
     if options.seconds is not None:
@@ -139,9 +141,8 @@ def _record(options: argparse.Namespace) -> None:
         road=options.road,
         last_time=last_time,
     )
-    if options.follow is not None:
-        _check_follow(tracks, options.follow)
-    part = _choose_part(tracks, options)
+    _check_followed(tracks, given.get("follow"), followed)
+    part = _choose_part(tracks, options, followed)
     for path, suffix in outputs.items():
         if suffix in DATA:
             is_whole = options.maneuver is None and options.start is None and last_time is None
@@ -175,21 +176,8 @@ def _check_times(options: argparse.Namespace, *, is_still: bool) -> None:
         raise ValueError(f"--at {options.at:g}: is the time of a {STILL}, which no --out names")
 
 
-def _read_views(
-    outputs: Mapping[Path, str], options: argparse.Namespace
-) -> "dict[Path, ViewOptions]":
-    """The options of the view for each picture, checked before anything is driven."""
-    if any(suffix in DATA for suffix in outputs.values()):
-        need("pyarrow", "view")
-    pictures = [path for path, suffix in outputs.items() if suffix not in DATA]
-    if not pictures:
-        if options.follow is not None:
-            raise ValueError(f"--follow {options.follow}: is for pictures, which no --out names")
-        return {}
-    need("imageio_ffmpeg", "view")
-    from marl_lanes.rendering.film import arrange, choose_size
-    from marl_lanes.rendering.options import ViewOptions
-
+def _read_view(options: argparse.Namespace) -> dict[str, Any]:
+    """The fields of the view that are given."""
     given: dict[str, Any] = {}
     if options.size is not None:
         match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", options.size)
@@ -202,7 +190,21 @@ def _read_views(
     for name in ("span", "speed"):
         if getattr(options, name) is not None:
             given[name] = getattr(options, name)
-    number = len(options.policies) * len(options.followers or [""])
+    return given
+
+
+def _choose_views(
+    outputs: Mapping[Path, str], given: Mapping[str, Any], number: int
+) -> dict[Path, ViewOptions]:
+    """The options of the view for each picture of the roads, checked before anything is driven."""
+    if any(suffix in DATA for suffix in outputs.values()):
+        need("pyarrow", "view")
+    pictures = [path for path, suffix in outputs.items() if suffix not in DATA]
+    if not pictures:
+        return {}
+    need("imageio_ffmpeg", "view")
+    from marl_lanes.rendering.film import arrange, choose_size
+
     views = {}
     for path in pictures:
         view = ViewOptions.make({"size": choose_size(path, number), **given})
@@ -211,15 +213,18 @@ def _read_views(
     return views
 
 
-def _check_follow(tracks: Sequence[Track], follow: str) -> None:
+def _check_followed(tracks: Sequence[Track], follow: str | int | None, command: int | None) -> None:
     """Reject whom no road has: the picture would show somebody else."""
-    column = "command" if follow.startswith("changer_") else "vehicle"
-    number = int(follow.removeprefix("changer_"))
+    if follow is None:
+        return
+    column, number = ("vehicle", follow) if command is None else ("command", command)
     if not any((track.rows[column] == number).any() for track in tracks):
-        raise ValueError(f"--follow {follow}: must be on the road while it is recorded")
+        raise ValueError(f"--follow {follow}: must be on a recorded road")
 
 
-def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:
+def _choose_part(
+    tracks: Sequence[Track], options: argparse.Namespace, followed: int | None
+) -> _Part:
     from marl_lanes.rendering.excerpt import find_excerpt
 
     times = [track.rows["time"] for track in tracks]
@@ -236,9 +241,7 @@ def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:
         return _Part(start, last if options.seconds is None else start + options.seconds)
     if options.at is not None and options.maneuver is None:
         return _Part(first, last)
-    command = options.maneuver
-    if command is None and options.follow is not None and options.follow.startswith("changer_"):
-        command = int(options.follow.removeprefix("changer_"))
+    command = followed if options.maneuver is None else options.maneuver
     excerpt = find_excerpt([track.rows for track in tracks], command)
     if excerpt is None:
         return _Part(first, last)
@@ -246,7 +249,7 @@ def _choose_part(tracks: Sequence[Track], options: argparse.Namespace) -> _Part:
 
 
 def _show(
-    path: Path, tracks: Sequence[Track], part: _Part, view: "ViewOptions", at: float | None
+    path: Path, tracks: Sequence[Track], part: _Part, view: ViewOptions, at: float | None
 ) -> None:
     """Write a film or a still."""
     from marl_lanes.rendering.excerpt import find_crossing

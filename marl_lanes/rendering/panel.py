@@ -23,9 +23,9 @@ from marl_lanes.rendering.spotlight import Focus, Incident
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import NONE, Phase
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.trajectory.appearance import is_commanded
 from marl_lanes.trajectory.columns import COLUMNS
 from marl_lanes.trajectory.frames import Frame, Rows
+from marl_lanes.trajectory.signals import are_commanded
 
 _LEAST_REWARD, _DECADES = 1e-3, 4
 """A bar of a reward is log10(1 + |r|/_LEAST_REWARD)/_DECADES long."""
@@ -87,7 +87,7 @@ class Panel:
         part.write(self._scenario.name, TEXT)
         part.write(f"road {frame.road}", MUTED)
         part.write(f"{rows.size} vehicles", MUTED)
-        part.write(f"{int(is_commanded(rows).sum())} commanded", MUTED)
+        part.write(f"{int(are_commanded(rows).sum())} commanded", MUTED)
         if self._speed != 1.0:
             part.write(f"{self._speed:g} x speed", MUTED)
 

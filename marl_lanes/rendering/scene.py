@@ -17,13 +17,8 @@ from marl_lanes.rendering.spotlight import Focus, Incident
 from marl_lanes.rendering.sprites import Look, Sprites
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.machine.state import NONE, Disposition, Phase
-from marl_lanes.trajectory.appearance import (
-    indicated_side,
-    is_braking,
-    is_commanded,
-    is_lost,
-)
 from marl_lanes.trajectory.frames import Frame, Rows
+from marl_lanes.trajectory.signals import are_braking, are_commanded, are_lost, find_indicators
 
 BLINK_TIME = 0.4
 """[s] An indicator is lit and dark for so long."""
@@ -48,13 +43,12 @@ def is_lit(time: float) -> bool:
 
 def find_looks(rows: Rows, time: float) -> list[Look]:
     """What the vehicles look like at a time [s]."""
-    disposition = np.minimum(rows["disposition"], Disposition.EXTERNAL)
     columns = (
-        is_commanded(rows),
-        disposition,
-        is_braking(rows),
-        indicated_side(rows) * is_lit(time),
-        is_lost(rows),
+        are_commanded(rows),
+        np.minimum(rows["disposition"], Disposition.EXTERNAL),
+        are_braking(rows),
+        find_indicators(rows) * is_lit(time),
+        are_lost(rows),
     )
     return list(map(Look, *(column.tolist() for column in columns)))
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from marl_lanes.rendering.options import ViewOptions
 from marl_lanes.traffic.machine.state import NONE, Fate, Outcome, Phase
-from marl_lanes.trajectory.appearance import is_lost
 from marl_lanes.trajectory.frames import Frame
+from marl_lanes.trajectory.signals import are_lost
 
 HOLD_TIME = 2.0
 """[s] An outcome is shown for so long, and the camera stays."""
@@ -94,9 +94,8 @@ class Spotlight:
         self.incidents = [one for one in self.incidents if frame.time < one.time + HOLD_TIME]
         known = {one.vehicle for one in self.incidents if one.time == frame.time}
         rows = frame.rows
-        for index in np.flatnonzero(
-            is_lost(rows) | (rows["outcome"] != Outcome.UNFINISHED)
-        ).tolist():
+        has_ended = rows["outcome"] != Outcome.UNFINISHED
+        for index in np.flatnonzero(are_lost(rows) | has_ended).tolist():
             row = rows[index]
             vehicle = int(row["vehicle"])
             if vehicle in known:

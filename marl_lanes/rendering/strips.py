@@ -13,8 +13,8 @@ from marl_lanes.rendering.palette import GRID, MARKING, MUTED, ROAD, TEXT, mix
 from marl_lanes.rendering.spotlight import Focus
 from marl_lanes.rendering.sprites import Look, Sprite, Sprites
 from marl_lanes.scenario import Scenario
-from marl_lanes.trajectory.appearance import is_commanded, is_lost
 from marl_lanes.trajectory.frames import Frame, Rows
+from marl_lanes.trajectory.signals import are_commanded, are_lost
 
 _MIN_LENGTH, _MIN_WIDTH = 3.0, 2.0
 """Least size of a vehicle [pixel]."""
@@ -110,7 +110,7 @@ class Strips:
         pictures: list[Sprite] = []
         above: list[Sprite] = []
         for number, (is_red, is_gone) in enumerate(
-            zip(is_commanded(rows).tolist(), is_lost(rows).tolist(), strict=True)
+            zip(are_commanded(rows).tolist(), are_lost(rows).tolist(), strict=True)
         ):
             look = Look(is_changer=is_red, is_lost=is_gone)
             is_large = is_red or is_gone or number == focus.row

@@ -5,13 +5,11 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from marl_lanes.report.run_files import REPLAY_FOLDER, FinalManeuver, RunFiles
+from marl_lanes.report.run_files import REPLAYS_FOLDER, FinalManeuver, RunFiles
+from marl_lanes.training.run_folder import TRAJECTORIES_FOLDER
 
 LOW_SUCCESS = 0.95
 """Below this share of successes the report warns."""
-
-TRAJECTORY_FOLDER = "trajectories"
-"""Folder of recorded roads in the run folder."""
 
 MIN_ROADS = 20
 """Intervals over fewer roads are too narrow (docs/metrics.md)."""
@@ -57,7 +55,7 @@ def list_failures(run: RunFiles) -> list[Failure]:
 
 def replay_of(road: int) -> str:
     """The replay of a road, relative to the run folder."""
-    return f"{REPLAY_FOLDER}/road_{road:04d}.html"
+    return f"{REPLAYS_FOLDER}/road_{road:04d}.html"
 
 
 def count_kinds(failures: Sequence[Failure]) -> list[tuple[str, int]]:
@@ -123,7 +121,7 @@ def describe_replays(run: RunFiles, road: int) -> list[str]:
     """The commands that record a road, make its replay, and write the report anew."""
     evaluation = run.evaluation
     folder = run.path
-    trajectory = folder / TRAJECTORY_FOLDER / f"road_{road:04d}.parquet"
+    trajectory = folder / TRAJECTORIES_FOLDER / f"road_{road:04d}.parquet"
     record = [
         *("record", str(folder / evaluation.policy)),
         *("--scenario", run.scenario),

@@ -1,12 +1,11 @@
 """The report as a page: what the template shows, and its file."""
 
 import base64
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from marl_lanes.colours import DARK, LIGHT, Theme
+from marl_lanes.colours import DARK, LIGHT
 from marl_lanes.evaluation.headlines import COST_RATIO, HEADLINES
 from marl_lanes.evaluation.style import FORMATS
 from marl_lanes.extras import need
@@ -18,8 +17,9 @@ from marl_lanes.report.failures import (
     list_failures,
     replay_of,
 )
-from marl_lanes.report.run_files import FILM_FILE, Evaluation, RunFiles, read_run
+from marl_lanes.report.run_files import Evaluation, RunFiles, read_run
 from marl_lanes.report.svg import inline_svg
+from marl_lanes.training.run_folder import FILM_FILE
 
 REPORT_FILE = "report.html"
 """File name in the run folder."""
@@ -104,8 +104,8 @@ def _collect(run: RunFiles, markupsafe: Any) -> dict[str, Any]:
         "seconds": {
             name.removeprefix("seconds_"): f"{value:,.2f}" for name, value in run.seconds.items()
         },
-        "light": _variables(LIGHT),
-        "dark": _variables(DARK),
+        "light": LIGHT.variables(),
+        "dark": DARK.variables(),
     }
 
 
@@ -138,10 +138,3 @@ def _embed_film(run: RunFiles) -> str | None:
     if not run.has_film or path.stat().st_size > MAX_FILM_BYTES:
         return None
     return f"data:video/mp4;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-
-
-def _variables(theme: Theme) -> Mapping[str, str]:
-    """The CSS variables of a theme, by name."""
-    names = ("background", "panel", "text", "muted", "grid", "link", "warning")
-    series = {f"series-{index}": colour for index, colour in enumerate(theme.series, 1)}
-    return {**{name: getattr(theme, name) for name in names}, **series}

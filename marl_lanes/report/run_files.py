@@ -8,23 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from marl_lanes.evaluation.headlines import HEADLINES
-from marl_lanes.training.config import CONFIG_FILE, ConfigError, validate
+from marl_lanes.training.config import CONFIG_FILE, ConfigError, read_scenario_name, validate
 from marl_lanes.training.run_folder import (
     CHOICE_FILE,
     COMMAND_FILE,
     EVALUATION_FILE,
+    FILM_FILE,
     FINAL_MANEUVERS_FILE,
     TIMES_FILE,
 )
 
-FILM_FILE = "film.mp4"
-"""File name of the film, if there is one."""
-
-REPLAY_FOLDER = "replays"
+REPLAYS_FOLDER = "replays"
 """Folder of the replays; ``road_0017.html`` is that of road 17."""
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -129,22 +126,23 @@ def read_run(path: Path) -> RunFiles:
     Raises:
         ReportError: the folder holds no finished run, or a file is not as training writes it.
     """
-    if not (path / CONFIG_FILE).is_file():
-        raise ReportError(f"run {path}: must be a run folder; it has no {CONFIG_FILE}")
+    try:
+        scenario = read_scenario_name(path)
+    except ConfigError as error:
+        raise ReportError(str(error)) from None
     evaluation = _validate(Evaluation, _read_json(path / EVALUATION_FILE), path / EVALUATION_FILE)
     missing = [one.key for one in HEADLINES if one.key not in evaluation.intervals]
     if missing:
         raise ReportError(f"{path / EVALUATION_FILE}: intervals.{missing[0]}: must be given")
-    config_text = _read_text(path / CONFIG_FILE)
     choice = path / CHOICE_FILE
-    found = (_REPLAY.fullmatch(file.name) for file in (path / REPLAY_FOLDER).glob("*.html"))
+    found = (_REPLAY.fullmatch(file.name) for file in (path / REPLAYS_FOLDER).glob("*.html"))
     return RunFiles(
         path=path,
         evaluation=evaluation,
         maneuvers=_read_maneuvers(path / FINAL_MANEUVERS_FILE, evaluation.num_maneuvers),
         seconds=_read_seconds(path / TIMES_FILE),
-        config_text=config_text,
-        scenario=_find_scenario(config_text, path / CONFIG_FILE),
+        config_text=_read_text(path / CONFIG_FILE),
+        scenario=scenario,
         command=_read_text(path / COMMAND_FILE).strip(),
         chosen=_validate(Choice, _read_json(choice), choice).chosen if choice.is_file() else None,
         replays=frozenset(int(match[1]) for match in found if match),
@@ -197,14 +195,3 @@ def _read_seconds(path: Path) -> dict[str, float]:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ReportError(f"{path}: {name} = {value!r}: must be a number")
     return seconds
-
-
-def _find_scenario(text: str, path: Path) -> str:
-    try:
-        config = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise ReportError(f"{path}: not readable as YAML: {reason}") from None
-    if not isinstance(config, dict) or not isinstance(config.get("scenario"), str):
-        raise ReportError(f"{path}: scenario: must be given")
-    return str(config["scenario"])

@@ -10,19 +10,20 @@ from marl_lanes.report.run_files import ReportError
 _TAGS = {"svg", "g", "path", "use", "defs", "clipPath", "rect", "text", "tspan", "image"}
 """What a figure is drawn with. All else is left out: scripts, links, styles of the whole page."""
 
+_LOOK = r"(?:fill|stroke)(?:-[a-z]+)?|text-anchor|opacity"
 _ATTRIBUTES = re.compile(
-    r"id|d|x|y|width|height|transform|viewBox|style|clip-path|href|preserveAspectRatio|"
-    r"(?:fill|stroke)(?:-[a-z]+)?|text-anchor"
+    "id|d|x|y|width|height|transform|viewBox|style|clip-path|href|preserveAspectRatio|" + _LOOK
 )
+_PROPERTIES = re.compile("font(?:-[a-z]+)?|" + _LOOK)
+"""Of a style. Others could move a part of the figure over the page."""
 
 _OWN_REFERENCE = re.compile(r"url\(#([\w.-]+)\)")
 _IMAGE = re.compile(r"data:image/png;base64,[A-Za-z0-9+/=\s]*")
 
 VARIABLES = {
-    "background": LIGHT.background,
-    "text": LIGHT.text,
-    "grid": LIGHT.grid,
-    **{f"series-{index}": colour for index, colour in enumerate(LIGHT.series, 1)},
+    name: colour
+    for name, colour in LIGHT.variables().items()
+    if name in ("background", "text", "grid") or name.startswith("series-")
 }
 """By name of the page's CSS variable: the colour of a figure that it takes the place of."""
 
@@ -87,7 +88,12 @@ def _clean_value(name: str, value: str, prefix: str) -> str | None:
         if value.startswith("#"):
             return f"#{prefix}{value[1:]}"
         return value if _IMAGE.fullmatch(value) else None
+    if name == "style":
+        declarations = (one for one in value.split(";") if one.strip())
+        if not all(_PROPERTIES.fullmatch(one.partition(":")[0].strip()) for one in declarations):
+            return None
     value = _OWN_REFERENCE.sub(rf"url(#{prefix}\1)", value)
-    if "url(" in value.replace(f"url(#{prefix}", "") or "\\" in value or "@" in value:
+    # Names of functions are the same in capitals.
+    if "url(" in value.replace(f"url(#{prefix}", "").lower() or "\\" in value or "@" in value:
         return None
     return _COLOUR.sub(lambda match: _NAMES[match[0]], value)

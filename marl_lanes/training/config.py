@@ -272,8 +272,27 @@ def read_config(kind: type[Config], fields: Mapping[str, Any]) -> Config:
     if fields.get("resume") is None:
         return validate(kind, fields)
     resume = str(fields["resume"])
-    path = Path(resume) / CONFIG_FILE
     origin = f"resume = {resume!r}: "
+    stored = _read_stored(Path(resume), origin) | {"output": resume, "resume": resume}
+    return validate(kind, stored, f"{origin}its {CONFIG_FILE}: ")
+
+
+def read_scenario_name(folder: Path) -> str:
+    """Name or file of a run's scenario, from the run's configuration.
+
+    Raises:
+        ConfigError: the folder is not one of a run, or its configuration names no scenario.
+    """
+    origin = f"run {folder}: "
+    name = _read_stored(folder, origin).get("scenario")
+    if not isinstance(name, str):
+        raise ConfigError(f"{origin}its {CONFIG_FILE}: scenario = {name!r}: must be a name")
+    return name
+
+
+def _read_stored(folder: Path, origin: str) -> dict[str, Any]:
+    """The fields of a run's configuration as they are; ``origin`` begins every message."""
+    path = folder / CONFIG_FILE
     if not path.is_file():
         raise ConfigError(f"{origin}must be a run folder; it has no {CONFIG_FILE}")
     try:
@@ -283,8 +302,7 @@ def read_config(kind: type[Config], fields: Mapping[str, Any]) -> Config:
         raise ConfigError(f"{origin}its {CONFIG_FILE} is not readable as YAML: {reason}") from None
     if not isinstance(stored, dict):
         raise ConfigError(f"{origin}its {CONFIG_FILE} must be a mapping of fields, got {stored!r}")
-    stored |= {"output": resume, "resume": resume}
-    return validate(kind, stored, f"{origin}its {CONFIG_FILE}: ")
+    return stored
 
 
 def read_changers_config(kind: type[ChangersKind], fields: Mapping[str, Any]) -> ChangersKind:

@@ -27,8 +27,8 @@ from marl_lanes.training.interruptions import note_interruptions
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import (
+    BUFFER_FOLDER,
     FINAL_MODEL,
-    REPLAY_FOLDER,
     STATE_FILE,
     RunFolder,
     check_empty,
@@ -115,7 +115,7 @@ class Learner:
 
     def _make_replay(self, folder: Path) -> Replay:
         size = self.memory["bytes_per_stored_transition"]
-        return Replay(self.config.replay, folder / REPLAY_FOLDER, size, self.algorithm.device)
+        return Replay(self.config.replay, folder / BUFFER_FOLDER, size, self.algorithm.device)
 
     def _open(self, folder: Path, until: int | None = None) -> RunFolder:
         evaluated = self.config.evaluation.metrics
@@ -313,4 +313,4 @@ class Learner:
         """Release the collector, the logs, and the files of the replay buffer."""
         self.collector.shutdown()
         self.run.close()
-        shutil.rmtree(self.run.path / REPLAY_FOLDER, ignore_errors=True)
+        shutil.rmtree(self.run.path / BUFFER_FOLDER, ignore_errors=True)

@@ -19,8 +19,17 @@ FINAL_MODEL = "final.pt"
 STATE_FILE = "resume.pt"
 """File name of the training state."""
 
-REPLAY_FOLDER = "replay"
+BUFFER_FOLDER = "replay"
 """Folder of the replay buffer's files while a training runs."""
+
+CHECKPOINTS_FOLDER = "checkpoints"
+"""Folder of the saved models."""
+
+TRAJECTORIES_FOLDER = "trajectories"
+"""Folder of recorded roads."""
+
+FILM_FILE = "film.mp4"
+"""File name of the film, if there is one."""
 
 TIMES_FILE = "training.json"
 """File name of the seconds that the training took; it is there when the training is over."""
@@ -140,7 +149,7 @@ class RunFolder:
     @property
     def checkpoints(self) -> Path:
         """The saved models."""
-        return self.path / "checkpoints"
+        return self.path / CHECKPOINTS_FOLDER
 
     def trajectory(self, checkpoint: str) -> Path:
         """The recorded road of a saved model's evaluation.
@@ -148,12 +157,12 @@ class RunFolder:
         Args:
             checkpoint: the model's file name.
         """
-        return self.path / "trajectories" / f"{Path(checkpoint).stem}.parquet"
+        return self.path / TRAJECTORIES_FOLDER / f"{Path(checkpoint).stem}.parquet"
 
     @property
     def film(self) -> Path:
         """The first and the last saved model side by side."""
-        return self.path / "film.mp4"
+        return self.path / FILM_FILE
 
     @property
     def state(self) -> Path:

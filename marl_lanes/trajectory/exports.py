@@ -9,12 +9,11 @@ import numpy as np
 
 from marl_lanes.extras import need
 from marl_lanes.files import replacing
-from marl_lanes.traffic.machine.state import NONE
-from marl_lanes.trajectory.appearance import indicated_side, is_braking
 from marl_lanes.trajectory.file import Trajectory, make_table
 from marl_lanes.trajectory.frames import Frame, Rows
 from marl_lanes.trajectory.metadata import TrajectoryError
 from marl_lanes.trajectory.road_line import RoadLine
+from marl_lanes.trajectory.signals import are_braking, are_commanded, find_indicators
 
 _FCD_SCHEMA = "http://sumo.dlr.de/xsd/fcd_file.xsd"
 _RIGHT, _LEFT = 1, 2
@@ -75,7 +74,7 @@ def write_fcd(path: Path, trajectory: Trajectory, road: int | None = None) -> No
         )
         for frame in trajectory.frames(road):
             xml.characters("\n")
-            xml.startElement("timestep", AttributesImpl({"time": f"{frame.time:.2f}"}))
+            xml.startElement("timestep", AttributesImpl({"time": f"{frame.time:.3f}"}))
             for attributes in _vehicles(frame, line):
                 xml.characters("\n  ")
                 xml.startElement("vehicle", AttributesImpl(attributes))
@@ -95,17 +94,16 @@ def _vehicles(frame: Frame, line: RoadLine) -> list[dict[str, str]]:
     profiles = tuple(frame.scenario.drivers.profiles)
     lane = np.floor(rows["lateral_position"] / frame.scenario.road.lane_width)
     lane = np.clip(lane, 0, frame.scenario.road.num_lanes - 1)
-    signals = _signals(rows)
+    is_changer, signals = are_commanded(rows), _find_signals(rows)
     found = []
     for index, row in enumerate(rows):
-        is_changer = row["command"] != NONE
         found.append(
             {
                 "id": str(row["vehicle"]),
                 "x": f"{x[index] + half * math.cos(heading[index]):.3f}",
                 "y": f"{y[index] + half * math.sin(heading[index]):.3f}",
                 "angle": f"{angle[index]:.3f}",
-                "type": "changer" if is_changer else profiles[row["profile"]],
+                "type": "changer" if is_changer[index] else profiles[row["profile"]],
                 "speed": f"{row['speed']:.3f}",
                 "pos": f"{ahead[index]:.3f}",
                 "lane": f"road_{int(lane[index])}",
@@ -116,7 +114,7 @@ def _vehicles(frame: Frame, line: RoadLine) -> list[dict[str, str]]:
     return found
 
 
-def _signals(rows: Rows) -> list[int]:
-    side = indicated_side(rows)
-    signals = _LEFT * (side > 0) + _RIGHT * (side < 0) + _BRAKE * is_braking(rows)
-    return [int(one) for one in signals]
+def _find_signals(rows: Rows) -> list[int]:
+    side = find_indicators(rows)
+    blinkers = np.select([side > 0, side < 0], [_LEFT, _RIGHT], 0)
+    return [int(one) for one in blinkers | np.where(are_braking(rows), _BRAKE, 0)]

@@ -15,6 +15,7 @@ from marl_lanes.traffic.machine.state import NONE
 from marl_lanes.trajectory.columns import COLUMNS, ROW, Column, new_rows
 from marl_lanes.trajectory.frames import Frame, Rows
 from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
+from marl_lanes.trajectory.road_line import MARGIN
 
 if TYPE_CHECKING:
     import pyarrow
@@ -24,6 +25,9 @@ METADATA_KEY = b"marl_lanes"
 
 LARGEST = 1e7
 """Magnitude of the largest number that is read; the times of the longest episodes are below it."""
+
+_TIME_ERROR = 1e-6
+"""[s] By which a time may differ from its step's."""
 
 _ROWS_PER_GROUP = 200_000
 
@@ -100,6 +104,7 @@ class TrajectoryWriter:
         self.path = path
         self.metadata = metadata
         self._blocks: list[Rows] = []
+        self._num_waiting = 0
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -134,13 +139,14 @@ class TrajectoryWriter:
     def write(self, rows: Rows) -> None:
         """Add the rows of a step."""
         self._blocks.append(rows)
-        if sum(map(len, self._blocks)) >= _ROWS_PER_GROUP:
+        self._num_waiting += rows.size
+        if self._num_waiting >= _ROWS_PER_GROUP:
             self._flush()
 
     def _flush(self) -> None:
         if self._blocks:
             rows = make_trajectory(self.metadata, self._blocks).rows
-            self._blocks = []
+            self._blocks, self._num_waiting = [], 0
             self._file.write_table(make_table(self.metadata, rows))
 
 
@@ -164,20 +170,23 @@ def read_trajectory(path: Path) -> Trajectory:
         OSError: the file cannot be read.
     """
     arrow, parquet = need("pyarrow", "view"), need("pyarrow.parquet", "view")
-    try:
-        with path.open("rb") as file:
+    with path.open("rb") as file:
+        try:
             table = parquet.read_table(file)
-    except arrow.ArrowException as error:
-        reason = " ".join(str(error).split())
-        raise TrajectoryError(f"{path}: not readable as Parquet: {reason}") from None
+        # pyarrow says OSError of damaged content, too.
+        except (arrow.ArrowException, OSError) as error:
+            reason = " ".join(str(error).split())
+            raise TrajectoryError(f"{path}: not readable as Parquet: {reason}") from None
     text = (table.schema.metadata or {}).get(METADATA_KEY)
     if text is None:
         raise TrajectoryError(f"{path}: has no metadata {METADATA_KEY.decode()!r}: no trajectory")
     try:
         metadata = Metadata.loads(text)
-        return make_trajectory(metadata, [_read_rows(table, metadata.scenario)])
+        trajectory = make_trajectory(metadata, [_read_rows(table, metadata.scenario)])
+        _check_once(trajectory.rows)
     except TrajectoryError as error:
         raise TrajectoryError(f"{path}: {error}") from None
+    return trajectory
 
 
 def make_schema(metadata: Metadata) -> "pyarrow.Schema":
@@ -238,7 +247,29 @@ def _read_rows(table: "pyarrow.Table", scenario: Scenario) -> Rows:
                 )
     if (rows["road"] < 0).any() or (rows["vehicle"] < 0).any():
         raise TrajectoryError("columns road and vehicle: must be at least 0")
+    start, end = -MARGIN, scenario.road.length + MARGIN
+    is_beyond = (rows["position"] < start) | (rows["position"] > end)
+    if is_beyond.any():
+        found = rows["position"][is_beyond][0]
+        raise TrajectoryError(f"column position: {found}: must be on the road, {start} to {end} m")
+    times = rows["step"] * scenario.time_step
+    is_wrong = np.abs(rows["time"] - times) > _TIME_ERROR
+    if is_wrong.any():
+        found, wanted = rows["time"][is_wrong][0], times[is_wrong][0]
+        raise TrajectoryError(
+            f"column time: {found}: must be {wanted}, the step times {scenario.time_step} s"
+        )
     return rows
+
+
+def _check_once(rows: Rows) -> None:
+    """Refuse ordered rows of which two are of one vehicle at one time step."""
+    names = ("road", "step", "vehicle")
+    is_again = np.logical_and.reduce([rows[name][1:] == rows[name][:-1] for name in names])
+    if is_again.any():
+        row = rows[1:][is_again][0]
+        place = ", ".join(f"{name} = {row[name]}" for name in names)
+        raise TrajectoryError(f"{place}: must have one row")
 
 
 def _read_column(values: Any, column: Column, scenario: Scenario) -> Any:

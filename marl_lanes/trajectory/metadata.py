@@ -11,6 +11,14 @@ FORMAT = 1
 """Number of the file's form; another number means other columns or another meaning."""
 
 
+_FIELDS = (
+    ("seed", int, "a whole number"),
+    ("policy", str, "a text"),
+    ("version", str, "a text"),
+    ("scenario", dict, "a mapping"),
+)
+
+
 class TrajectoryError(ValueError):
     """A file that is no trajectory, or that cannot be used; the message says why."""
 
@@ -52,7 +60,7 @@ class Metadata:
         """
         try:
             fields: Any = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise TrajectoryError(f"metadata: not readable as JSON: {error}") from None
         if not isinstance(fields, dict):
             raise TrajectoryError("metadata: must be a mapping")
@@ -61,9 +69,10 @@ class Metadata:
             raise TrajectoryError(
                 f"metadata: format = {found!r}: must be {FORMAT}; record it again with this version"
             )
-        for name, kind in (("seed", int), ("policy", str), ("version", str), ("scenario", dict)):
-            if not isinstance(fields.get(name), kind) or isinstance(fields[name], bool):
-                raise TrajectoryError(f"metadata: {name} = {fields.get(name)!r}: must be {kind}")
+        for name, kind, wanted in _FIELDS:
+            value = fields.get(name)
+            if not isinstance(value, kind) or isinstance(value, bool):
+                raise TrajectoryError(f"metadata: {name} = {value!r}: must be {wanted}")
         try:
             scenario = load_scenario(fields["scenario"])
         except ScenarioError as error:

@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 _SPACING = 0.5
 """[m] Between the points of the line: at a radius of 50 m the chord is 0.6 mm off the arc."""
 
-_MARGIN = 500.0
+MARGIN = 500.0
 """[m] The road goes on straight this far before its start and behind its end."""
 
 
@@ -37,12 +37,12 @@ class RoadLine:
         arcs = make_parameters(scenario).arcs
         length = scenario.road.length
         if not arcs.size:
-            self.position = np.asarray([-_MARGIN, 0.0, length, length + _MARGIN])
+            self.position = np.asarray([-MARGIN, 0.0, length, length + MARGIN])
             curvature = np.zeros(4)
         else:
-            count = math.ceil((length + 2.0 * _MARGIN) / _SPACING) + 1
+            count = math.ceil((length + 2.0 * MARGIN) / _SPACING) + 1
             # The origin is one of the points.
-            self.position = np.arange(count) * _SPACING - _MARGIN
+            self.position = np.arange(count) * _SPACING - MARGIN
             curvature = np.asarray([curvature_at(arcs, place) for place in self.position.tolist()])
         self.heading = self._integrate(curvature)
         self.x = self._integrate(np.cos(self.heading))

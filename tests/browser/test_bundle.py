@@ -7,7 +7,7 @@ import re
 from html.parser import HTMLParser
 
 import pytest
-from browser.recordings import record
+from recordings import record
 
 from marl_lanes import load_scenario
 from marl_lanes.browser.bundle import (
@@ -53,7 +53,7 @@ class Elements(HTMLParser):
 
 @pytest.fixture(scope="module")
 def trajectory():
-    return record("paper", 60, num_roads=2)
+    return record("paper", 60, num_envs=2)
 
 
 def renamed(trajectory, name):

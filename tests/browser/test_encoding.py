@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from browser.recordings import record
+from recordings import record
 
 from marl_lanes import load_scenario
 from marl_lanes.browser.encoding import ENCODED, QUANTA, encode_chunk, encode_header
@@ -39,7 +39,7 @@ def decode(header, chunk):
 
 @pytest.fixture(scope="module")
 def trajectory():
-    return record("interactive", 150, num_roads=2)
+    return record("interactive", 150, num_envs=2)
 
 
 def test_every_value_comes_back(trajectory):

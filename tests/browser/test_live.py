@@ -3,9 +3,9 @@
 from itertools import pairwise
 
 import pytest
-from browser.recordings import record
 from browser.serving import serving
 from browser.waiting import wait_until
+from recordings import record
 
 from marl_lanes import load_scenario
 from marl_lanes.browser import episodes
@@ -157,7 +157,7 @@ def test_a_new_episode_waits_for_one_who_looks_at_the_past(open_page, monkeypatc
     models = Appearing()
     models.model = CASCADE
     with serving(models, BUSY, seed=7, speed=10.0) as running, open_page(running.address) as page:
-        wait_until(page, f"{NEAR} && player.header.seed === 7")
+        wait_until(page, f"{NEAR} && player.header.seed === '7'")
         assert text_of(page) == ""
         models.model = CASCADE._replace(label="newer")
         wait_until(page, "player.header.policy === 'newer'")

@@ -189,7 +189,7 @@ def test_a_model_of_another_scenario_is_passed_over(run, saving, warnings):
     [
         (None, ConfigError, "has no config.yaml"),
         ("a: [", ConfigError, "not readable as YAML"),
-        ("[1, 2]", ConfigError, "scenario = None: must be a name"),
+        ("[1, 2]", ConfigError, "must be a mapping of fields"),
         ("scenario: 3", ConfigError, "scenario = 3: must be a name"),
         ("scenario: nowhere", ScenarioError, "run .*: scenario 'nowhere': no such scenario"),
     ],

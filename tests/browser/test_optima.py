@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from browser.recordings import record
+from recordings import record
 
 from marl_lanes.browser.optima import find_optima
 from marl_lanes.evaluation.measures import measure

@@ -20,4 +20,4 @@ def test_progress_is_shown_on_a_terminal_alone(capsys, monkeypatch, is_terminal)
         return
     assert shown.count("\r") == 103
     assert "\rdriving  50 %" in shown
-    assert shown.endswith(" " * 20 + "\r")
+    assert shown.endswith("\rdriving 100 %\r" + " " * 13 + "\r")

@@ -221,13 +221,13 @@ def test_a_scenario_without_end_has_the_time_that_is_given(folder, tmp_path):
         (["all.parquet", "--span", "1", "--out", "a.mp4"], "span = 1.0: must be 20 to 2000 m"),
         (["all.parquet", "--speed", "0", "--out", "a.mp4"], "speed = 0.0: must be"),
         (["all.parquet", "--follow", "me", "--out", "a.mp4"], "follow = 'me': must be"),
-        (["all.parquet", "--follow", "99999", "--out", "a.mp4"], "--follow 99999: must be on the"),
+        (["all.parquet", "--follow", "99999", "--out", "a.mp4"], "--follow 99999: must be on a"),
         (
             ["all.parquet", "--follow", "changer_99", "--seconds", "2", "--out", "a.mp4"],
-            "--follow changer_99: must be on the road",
+            "--follow changer_99: must be on a recorded road",
         ),
-        (["all.parquet", "--follow", "changer_0", "--out", "a.csv"], "--follow changer_0: is for"),
         (["cascade", "--out", "a.png"], "without learning: tuned-cascade, cascade-prior"),
+        (["all.parquet", "--follow", "changer_x", "--out", "a.csv"], "follow = 'changer_x': must"),
         (
             ["all.parquet", "all.parquet", "--out", "a.mp4"],
             "POLICY all.parquet: must be given once",

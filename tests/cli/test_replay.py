@@ -3,8 +3,8 @@
 import json
 
 import pytest
-from browser.recordings import record
 from cli.commands import assert_refused, files
+from recordings import record
 
 from marl_lanes.cli.main import main
 from marl_lanes.trajectory.columns import new_rows
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def recorded():
-    return record("paper", 150, num_roads=2)
+    return record("paper", 150, num_envs=2)
 
 
 @pytest.fixture

@@ -123,7 +123,7 @@ def test_the_newest_model_of_a_run_drives(run):
             data = read_until(events, lambda kind, _: kind == "episode")
             assert data["header"]["policy"].endswith("step_000001000.pt, 1,000 transitions")
             assert data["header"]["scenario"] == "quick"
-            assert data["header"]["seed"] == 3
+            assert data["header"]["seed"] == "3"
             broken = run / "checkpoints" / "step_000003000.pt"
             broken.write_bytes(b"half")
             told = read_until(events, lambda kind, data: kind == "status" and data["trouble"])

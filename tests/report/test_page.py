@@ -198,11 +198,11 @@ def test_the_page_is_light_or_dark_as_the_reader_wishes(tmp_path):
     text = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     light, dark = text.split("@media (prefers-color-scheme: dark)")
     used = set(re.findall(r"var\(--([\w-]+)\)", text))
-    assert {"series-1", "text", "background", "warning"} <= used
+    assert {"series-0", "text", "background", "warning"} <= used
     for part, theme in ((light, LIGHT), (dark, DARK)):
         found = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6});", part))
         assert used <= set(found)
-        assert (found["text"], found["series-2"]) == (theme.text, theme.series[1])
+        assert (found["text"], found["series-1"]) == (theme.text, theme.series[1])
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path):

@@ -126,6 +126,14 @@ def test_a_damaged_file_is_refused(file, tmp_path):
         read_trajectory(tmp_path / "cut.parquet")
 
 
+def test_a_file_with_a_damaged_part_is_refused(file, tmp_path):
+    content = bytearray(file.read_bytes())
+    content[4 : len(content) // 2] = bytes(len(content) // 2 - 4)
+    (tmp_path / "damaged.parquet").write_bytes(content)
+    with pytest.raises(TrajectoryError, match=r"damaged\.parquet: not readable as Parquet"):
+        read_trajectory(tmp_path / "damaged.parquet")
+
+
 def test_a_table_of_something_else_is_refused(tmp_path):
     path = tmp_path / "other.parquet"
     pyarrow.parquet.write_table(pyarrow.table({"speed": [1.0]}), path)
@@ -137,6 +145,14 @@ def test_a_table_of_something_else_is_refused(tmp_path):
     ("change", "message"),
     [
         (lambda table: table.drop_columns(["yaw"]), "column yaw: must be there"),
+        (
+            lambda table: replaced(table, "time", pyarrow.array([7.0] * table.num_rows)),
+            r"column time: 7.0: must be 0.0, the step times 0.1 s",
+        ),
+        (
+            lambda table: pyarrow.concat_tables([table, table.slice(3, 1)]),
+            "road = 0, step = 0, vehicle = [0-9]+: must have one row",
+        ),
         (
             lambda table: replaced(table, "phase", pyarrow.array(["odd"] * table.num_rows)),
             "column phase: 'odd': must be one of absent, waiting",
@@ -156,6 +172,10 @@ def test_a_table_of_something_else_is_refused(tmp_path):
         (
             lambda table: replaced(table, "reward", pyarrow.array([np.inf] * table.num_rows)),
             "column reward: inf: must be within",
+        ),
+        (
+            lambda table: replaced(table, "position", pyarrow.array([1e6] * table.num_rows)),
+            "column position: 1000000.0: must be on the road, -500.0 to ",
         ),
         (
             lambda table: replaced(table, "vehicle", pyarrow.array([-2] * table.num_rows)),

@@ -4,7 +4,6 @@ export class Line {
   /** line: the header's points of the road's right edge. */
   constructor(line) {
     this.points = line;
-    this.isStraight = line.position.length === 2;
   }
 
   /** The index of the point at or before a position. */

@@ -95,14 +95,6 @@ export class Store extends EventTarget {
     this.update();
   }
 
-  /** Forget the chunks that end before a step. */
-  dropBefore(step) {
-    const kept = this.chunks.filter((chunk) => chunk.lastStep >= step);
-    if (kept.length === this.chunks.length) return;
-    this.chunks = kept;
-    this.update();
-  }
-
   update() {
     this.events = this.chunks.flatMap((chunk) => chunk.events);
     this.firstStep = this.chunks.at(0)?.firstStep ?? 0;
