@@ -1,6 +1,7 @@
 """The report as a page: what the template shows, and its file."""
 
 import base64
+import math
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -116,9 +117,13 @@ def make_numbers(evaluation: Evaluation) -> list[Number]:
         found = evaluation.intervals[headline.key]
         unit = "" if headline.unit == "1" else f"\N{NO-BREAK SPACE}{headline.unit}"
         meaning, interval = headline.meaning, ""
+        decimals = headline.decimals
+        if headline.is_rate:
+            # One failure of 10,000 maneuvers must not look like none.
+            decimals = max(decimals, math.ceil(math.log10(evaluation.num_maneuvers)) - 2)
 
-        def show(value: float, headline: Any = headline) -> str:
-            return f"{headline.factor * value:.{headline.decimals}f}"
+        def show(value: float, factor: float = headline.factor, decimals: int = decimals) -> str:
+            return f"{factor * value:.{decimals}f}"
 
         if found.value is None:
             value = "not defined"

@@ -12,8 +12,8 @@ from marl_lanes.colours import DARK, LIGHT
 from marl_lanes.evaluation.headlines import HEADLINES
 from marl_lanes.extras import MissingExtraError
 from marl_lanes.report import page
-from marl_lanes.report.page import write_report
-from marl_lanes.report.run_files import ReportError
+from marl_lanes.report.page import make_numbers, write_report
+from marl_lanes.report.run_files import Evaluation, Interval, ReportError
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
@@ -60,6 +60,27 @@ def report(tmp_path, *, film=None, replays=(), **options):
         add_replays(run, *replays)
     assert write_report(run) == run / "report.html"
     return Page(run / "report.html")
+
+
+@pytest.mark.parametrize(
+    ("num_maneuvers", "value"), [(40, "97.5 %"), (1000, "99.9 %"), (10_000, "99.99 %")]
+)
+def test_one_failure_does_not_look_like_none(num_maneuvers, value):
+    rate = Interval(value=1.0 - 1.0 / num_maneuvers, low=0.9, high=1.0)
+    numbers = make_numbers(
+        Evaluation(
+            scenario="paper",
+            policy="checkpoints/final.pt",
+            seed=0,
+            num_maneuvers=num_maneuvers,
+            no_cost_ratio=None,
+            confidence=0.95,
+            intervals={headline.key: rate for headline in HEADLINES},
+            versions={},
+        )
+    )
+    assert numbers[0].key == "success_rate"
+    assert numbers[0].value.replace("\N{NO-BREAK SPACE}", " ") == value
 
 
 def test_every_number_is_that_of_the_file(tmp_path):
