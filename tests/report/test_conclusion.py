@@ -5,6 +5,7 @@ import pytest
 from report.finished import trained
 
 from marl_lanes import load_scenario
+from marl_lanes.report import conclusion
 from marl_lanes.report.conclusion import conclude
 from marl_lanes.training.config import EvaluationConfig
 
@@ -22,7 +23,11 @@ def settings(*, record):
     )
 
 
-def test_everything_is_there_and_the_report_shows_it(tmp_path):
+def test_everything_is_there_and_the_report_shows_it(tmp_path, monkeypatch):
+    # test_first_and_last.py makes a true film, which takes ten seconds.
+    monkeypatch.setattr(
+        conclusion, "film_first_and_last", lambda run, *_: run.film.write_bytes(b"film")
+    )
     with closing(trained(tmp_path / "run")) as run:
         summary = conclude(run, settings(record=True), load_scenario("paper"), 500)
         stored = json.loads((run.path / "evaluation.json").read_text(encoding="utf-8"))
