@@ -75,6 +75,7 @@ def test_the_speed_of_a_film(tmp_path, speed, number):
     assert len(found) == number
 
 
+@pytest.mark.slow
 def test_roads_side_by_side_have_one_clock_and_the_one_that_ends_stays(tmp_path):
     clips = (Clip("short", frames(0, 5)), Clip("long", frames(5, 20)))
     found = write(tmp_path / "film.mp4", *clips, options=ViewOptions(size=(640, 480)))
@@ -140,6 +141,7 @@ def test_each_clip_follows_its_own_vehicle(tmp_path):
     assert upper.mean() - lower.mean() > 50
 
 
+@pytest.mark.slow
 def test_the_same_clips_are_the_same_bytes(tmp_path):
     for name in ("one.mp4", "other.mp4"):
         clips = Clip("a", frames(0, 6)), Clip("b", frames(0, 4))

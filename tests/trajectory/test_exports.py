@@ -14,6 +14,8 @@ from marl_lanes.trajectory.exports import write_csv, write_fcd
 from marl_lanes.trajectory.metadata import TrajectoryError
 from marl_lanes.trajectory.road_line import RoadLine
 
+pytestmark = pytest.mark.slow
+
 
 def read_fcd(path):
     """By SUMO's own reader: time to vehicles."""
@@ -73,7 +75,6 @@ def test_a_changer_shows_its_indicator(fcd):
     assert seen == {1, -1}
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(
     importlib.util.find_spec("sumo") is None, reason="eclipse-sumo is the extra sumo"
 )
