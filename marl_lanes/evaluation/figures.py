@@ -23,7 +23,7 @@ from marl_lanes.evaluation.style import (
     styled,
     write_figure,
 )
-from marl_lanes.evaluation.tables import format_estimate
+from marl_lanes.evaluation.tables import choose_decimals, format_estimate
 from marl_lanes.scenario import Scenario
 
 RUNNING_MEAN = 200
@@ -161,7 +161,8 @@ def draw_crossplay(paths: Sequence[Path], result: Mapping[str, Any]) -> None:
     width, height = 2.2 + 1.5 * len(followers), 1.6 + 0.8 * len(changers)
     figure = Figure(figsize=(2.0 * width, 2.0 * height), layout="constrained")
     panels: Any = figure.subplots(2, 2)
-    for axes, (key, title, factor, decimals, span) in zip(panels.flat, _PANELS, strict=True):
+    for axes, (key, title, factor, places, span) in zip(panels.flat, _PANELS, strict=True):
+        decimals = choose_decimals(places, factor, result["num_maneuvers"])
         table = [[pairs[changer, label][key] for label in followers] for changer in changers]
         values = factor * np.asarray([[cell["value"] for cell in row] for row in table], np.float64)
         ends = [*values[np.isfinite(values)].tolist(), *span] or [0.0]

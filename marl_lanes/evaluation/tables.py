@@ -1,7 +1,11 @@
 """Results as text for a terminal of 120 columns."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+PER_CENT = 100.0
+"""The factor from a rate to the number that is shown."""
 
 WIDTH = 120
 """Columns of a terminal."""
@@ -47,6 +51,16 @@ CROSSPLAY_ROWS = (
 _NOT_DEFINED = "-"
 
 
+def choose_decimals(decimals: int, factor: float, num_maneuvers: int) -> int:
+    """The decimals of a number; of a rate in per cent as many as show one maneuver of all.
+
+    Otherwise one failure of 10,000 would look like none.
+    """
+    if factor != PER_CENT:
+        return decimals
+    return max(decimals, math.ceil(math.log10(num_maneuvers)) - 2)
+
+
 def format_estimate(
     estimate: Mapping[str, float | None], factor: float = 1.0, decimals: int = 2
 ) -> str:
@@ -90,7 +104,8 @@ def format_crossplay(result: Mapping[str, Any]) -> str:
     """
     cells = {(pair["changer"], pair["followers"]): pair for pair in result["pairs"]}
     rows = []
-    for key, title, factor, decimals in CROSSPLAY_ROWS:
+    for key, title, factor, places in CROSSPLAY_ROWS:
+        decimals = choose_decimals(places, factor, result["num_maneuvers"])
         for number, changer in enumerate(result["changers"]):
             values = [
                 format_estimate(cells[changer, follower]["statistics"][key], factor, decimals)

@@ -1,7 +1,6 @@
 """The report as a page: what the template shows, and its file."""
 
 import base64
-import math
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,6 +8,7 @@ from typing import Any, NamedTuple
 from marl_lanes.colours import DARK, LIGHT
 from marl_lanes.evaluation.headlines import COST_RATIO, HEADLINES
 from marl_lanes.evaluation.style import FORMATS
+from marl_lanes.evaluation.tables import choose_decimals
 from marl_lanes.extras import need
 from marl_lanes.files import write_text
 from marl_lanes.report.failures import (
@@ -117,10 +117,7 @@ def make_numbers(evaluation: Evaluation) -> list[Number]:
         found = evaluation.intervals[headline.key]
         unit = "" if headline.unit == "1" else f"\N{NO-BREAK SPACE}{headline.unit}"
         meaning, interval = headline.meaning, ""
-        decimals = headline.decimals
-        if headline.is_rate:
-            # One failure of 10,000 maneuvers must not look like none.
-            decimals = max(decimals, math.ceil(math.log10(evaluation.num_maneuvers)) - 2)
+        decimals = choose_decimals(headline.decimals, headline.factor, evaluation.num_maneuvers)
 
         def show(value: float, factor: float = headline.factor, decimals: int = decimals) -> str:
             return f"{factor * value:.{decimals}f}"

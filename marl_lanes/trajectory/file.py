@@ -165,12 +165,15 @@ def read_trajectory(path: Path) -> Trajectory:
     """Read a Parquet file.
 
     Raises:
-        TrajectoryError: it is no trajectory of this form.
+        TrajectoryError: it cannot be read, or is no trajectory of this form.
         MissingExtraError: pyarrow is not installed.
-        OSError: the file cannot be read.
     """
     arrow, parquet = need("pyarrow", "view"), need("pyarrow.parquet", "view")
-    with path.open("rb") as file:
+    try:
+        opened = path.open("rb")
+    except OSError as error:
+        raise TrajectoryError(f"trajectory {path}: cannot be read: {error.strerror}") from None
+    with opened as file:
         try:
             table = parquet.read_table(file)
         # pyarrow says OSError of damaged content, too.

@@ -6,6 +6,7 @@ from marl_lanes.evaluation.crossplay import EXTREMES, MEANS, RATES
 from marl_lanes.evaluation.tables import (
     CROSSPLAY_ROWS,
     WIDTH,
+    choose_decimals,
     format_crossplay,
     format_estimate,
     format_gaps,
@@ -152,3 +153,13 @@ def test_gaps():
     assert kind.split() == ["kind", *entered, *at_entry, "-1.00", "0.50", "[0.25,", "0.75]"]
     assert rude.split()[1:] == kind.split()[1:]
     assert max(map(len, text.splitlines())) <= WIDTH
+
+
+@pytest.mark.parametrize(
+    ("factor", "number", "wanted"),
+    [(100.0, 3, 1), (100.0, 1000, 1), (100.0, 1001, 2), (100.0, 10_000, 2), (1.0, 10_000, 1)],
+)
+def test_a_rate_shows_one_maneuver_of_all(factor, number, wanted):
+    assert choose_decimals(1, factor, number) == wanted
+    if factor == 100.0:
+        assert f"{factor / number:.{wanted}f}".strip("0.") != ""

@@ -112,6 +112,13 @@ def test_an_empty_recording_can_be_kept(tmp_path):
     assert read_trajectory(tmp_path / "empty.parquet").roads == []
 
 
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(
+        TrajectoryError, match=r"trajectory .*none\.parquet: cannot be read: No such"
+    ):
+        read_trajectory(tmp_path / "none.parquet")
+
+
 def test_no_parquet_is_refused(tmp_path):
     path = tmp_path / "text.parquet"
     path.write_text("no table", encoding="utf-8")
