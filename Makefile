@@ -1,6 +1,7 @@
 # make train  - train the shared NAF policy on the paper's scenario, evaluate it, write the report
 # make check  - linters, import contract, type checker, the tests that neither train nor take long
-# make test   - the same with all tests
+# make test   - the same with all tests that take less than a minute
+# make trials - the tests that take minutes: what `make test` has a share of, whole
 # make figures - draw the figures of docs/ anew, in half a minute
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
 #                  pictures with highway-env's
@@ -17,7 +18,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loads
 # What stands before the tests of `check` and `test`, side by side.
 MAKEFLAGS += --jobs=2
 
-.PHONY: train check test lint types kernels figures benchmark clean
+.PHONY: train check test trials lint types kernels figures benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -27,6 +28,9 @@ check: lint types kernels
 
 test: lint types kernels
 	$(PYTEST)
+
+trials: kernels
+	$(PYTEST) --long -m long
 
 types: $(VENV)/installed
 	$(BIN)/mypy

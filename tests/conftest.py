@@ -11,17 +11,25 @@ import pytest
 # Tests run in as many processes as there are cores: torch gets one thread in each.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-MARKERS = ("training", "ray", "slow")
+MARKERS = ("training", "ray", "slow", "long")
 """Of the tests that `make check` leaves out."""
 PROGRAM = re.compile(r"\b(agents|benchmarks)/\S*\.py\b")
+
+
+def pytest_addoption(parser):
+    parser.addoption("--long", action="store_true", help="run the tests that take minutes, too")
 
 
 def is_quick(item):
     return not any(item.get_closest_marker(name) for name in MARKERS)
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
     """Files with long tests first: else a long one at the end would find the others idle."""
+    if not config.getoption("--long"):
+        left_out = [item for item in items if item.get_closest_marker("long")]
+        items[:] = [item for item in items if not item.get_closest_marker("long")]
+        config.hook.pytest_deselected(items=left_out)
     long = {item.path for item in items if not is_quick(item)}
     items.sort(key=lambda item: item.path not in long)
 
