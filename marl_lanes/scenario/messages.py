@@ -2,10 +2,17 @@
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from reprlib import Repr
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+
+MAX_SHOWN = 80
+"""[characters] of a value in a message."""
+
+_SHORT = Repr()
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = MAX_SHOWN
 
 
 def explain(error: ValidationError, kind: type[BaseModel]) -> str:
@@ -62,3 +69,12 @@ def fields_at(kind: type[BaseModel], path: Sequence[str | int]) -> list[str] | N
 
 def _is_section(found: Any) -> bool:
     return isinstance(found, type) and issubclass(found, BaseModel)
+
+
+def shown(value: object) -> str:
+    """A value as a message shows it: its ``repr`` on one line, short however large it is."""
+    try:
+        text = " ".join(_SHORT.repr(value).split())
+    except Exception:  # an object's repr may raise anything
+        text = f"<{type(value).__name__}>"
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."

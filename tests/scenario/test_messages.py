@@ -3,6 +3,8 @@
 import pytest
 from scenario.refusals import assert_refused, error_of
 
+from marl_lanes.scenario.messages import MAX_SHOWN, shown
+
 WRONG = [
     ({"colour": 1}, ["colour: unknown key; allowed: name, description, time_step"]),
     (
@@ -30,3 +32,32 @@ def test_one_error_names_every_problem():
     assert message.startswith("scenario from a mapping: ")
     for part in ("road.length = 5.0", "time_step = 9.0", "colour: unknown key"):
         assert part in message
+
+
+class Unshowable:
+    def __repr__(self):
+        raise RuntimeError
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.3, "0.3"),
+        ("two\nlines", r"'two\nlines'"),
+        ([1, 2], "[1, 2]"),
+        (Unshowable(), "<Unshowable instance at"),
+        (10**5000, "<int"),
+    ],
+    ids=["number", "lines", "list", "unshowable", "digits"],
+)
+def test_a_value_is_shown_on_one_line(value, text):
+    assert shown(value).startswith(text)
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["x" * 10**6, ["x" * 1000] * 10**5, {str(k): "x" * 90 for k in range(99)}, 10**4000],
+    ids=["text", "list", "mapping", "digits"],
+)
+def test_a_large_value_is_shown_short(value):
+    assert len(shown(value)) <= MAX_SHOWN
