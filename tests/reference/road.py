@@ -70,6 +70,7 @@ class Road(Roles):
 
     def step(self, actions, follower_actions):
         """One time step, given by agent slot the actions and the accelerations of the followers."""
+        self.forget()
         if self.scenario.followers.cooperative.moves_over:
             for car in self.cars:
                 self.move_over(car)
@@ -93,6 +94,14 @@ class Road(Roles):
         if self.external_names:
             self.pair()
         self.finish()
+
+    def forget(self):
+        """Free the slots of the commands that ended in the step before."""
+        for slot, agent in list(self.agents.items()):
+            if agent.outcome != Outcome.UNFINISHED:
+                del self.agents[slot]
+                self.followers.pop(slot, None)
+        self.known_lanes.clear()
 
     def move(self, car, actions):
         """Steer, then semi-implicit Euler; the road's turning is from before the step."""
