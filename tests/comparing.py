@@ -100,6 +100,13 @@ def compare_followers(road, simulator, env):
             assert close(value, expected, 1e-6), name
 
 
+def met_by_agents(road):
+    """Phases and outcomes of the agents, by name: members of different enumerations are equal."""
+    for agent in road.agents.values():
+        yield agent.phase.name
+        yield agent.outcome.name
+
+
 def met_behind(road):
     """What occurred to the drivers behind the changers."""
     for slot, follower in road.followers.items():

@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from invariants import Watch
 
+from marl_lanes.traffic.machine.state import Outcome
+
 NUM_STEPS = 150
 
 
@@ -25,7 +27,7 @@ def play(case, num_envs):
         simulator.step(*given_actions[-1])
         watch.check()
     met = Counter({name: int(simulator.roads[name].sum()) for name in simulator.roads.dtype.names})
-    met.update(outcome for known in watch.commands for _, _, outcome in known.values())
+    met.update(outcome.name for known in watch.commands for _, _, outcome in known.values())
     return given_actions, middle, simulator, met
 
 
@@ -66,4 +68,4 @@ def test_what_holds_after_every_step():
 def test_what_holds_after_every_step_of_hundreds_of_scenarios():
     met = hold(200, is_whole=True)
     assert min(met[name] for name in ("num_left", "num_collided", "num_off_road")) > 100
-    assert min(met[outcome] for outcome in range(6)) > 100
+    assert min(met[outcome.name] for outcome in Outcome) > 100

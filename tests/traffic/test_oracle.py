@@ -11,19 +11,21 @@ from comparing import (
     compare_vehicles,
     met_behind,
     met_beside,
+    met_by_agents,
     moving_over,
 )
 from drawn_scenarios import drawn, share_of
 from hypothesis import given, note
 from reference.road import Road
 
-from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.machine.state import CollisionKind, Outcome, Phase
 
 NUM_STEPS = 300
 COMPARED = compare_road, compare_vehicles, compare_agents, compare_followers
 EVERYTHING = {
-    *(outcome for outcome in Outcome),
-    *(phase for phase in Phase if phase != Phase.ABSENT),
+    *(outcome.name for outcome in Outcome),
+    *(phase.name for phase in Phase if phase != Phase.ABSENT),
+    *(kind.name for kind in CollisionKind),
     *("paired", "scripted", "delay", "abort", "collision", "discomfort", "braking"),
     *("moving over", "moved over", "took back"),
 }
@@ -57,11 +59,10 @@ def follow(case):
         except AssertionError:
             note(f"they differ after step {step + 1}")
             raise
-        met.update(agent.phase for agent in road.agents.values())
-        met.update(agent.outcome for agent in road.agents.values())
+        met.update(met_by_agents(road))
         met.update(met_behind(road))
         met.update(met_beside(road, moving))
-    met.update(record["kind"] for record in road.collisions)
+    met.update(record["kind"].name for record in road.collisions)
     return met
 
 
