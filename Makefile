@@ -49,6 +49,8 @@ figures: $(VENV)/installed
 		--figure docs/figures/followers.svg --figure docs/figures/followers.png
 	$(BIN)/marl-lanes record tuned-cascade --scenario yielding --follow changer_7 --start 39 --seconds 9 \
 		--span 150 --size 800x500 --out docs/figures/highway.gif
+	$(BIN)/python benchmarks/convergence.py \
+		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
