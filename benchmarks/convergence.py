@@ -87,9 +87,7 @@ class Motion:
 
     def solve(self) -> float:
         """The compared quantity after DURATION by the differential equations [m]."""
-        solved = solve_ivp(
-            self.rate, (0.0, DURATION), self.start, "DOP853", rtol=1e-12, atol=1e-12
-        )
+        solved = solve_ivp(self.rate, (0.0, DURATION), self.start, "DOP853", rtol=1e-12, atol=1e-12)
         return float(solved.y[0, -1])
 
 

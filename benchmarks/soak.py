@@ -211,7 +211,9 @@ def main(arguments: list[str] | None = None) -> int:
     memory = Memory()
     is_whole = soak(courses, int(options.vehicle_steps), memory)
     rows = {course.name: course.finish() for course in courses}
-    print(f"{'scenario':>30} {'vehicle-steps':>14} {'commands':>10} {'collided':>9} {'off road':>9}")
+    print(
+        f"{'scenario':>30} {'vehicle-steps':>14} {'commands':>10} {'collided':>9} {'off road':>9}"
+    )
     for name, row in rows.items():
         print(
             f"{name:>30} {row['vehicle_steps']:14,} {row['num_commands']:10,} "

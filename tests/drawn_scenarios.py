@@ -19,7 +19,7 @@ from marl_lanes.traffic.roles.external import FOLLOWER_COLUMNS
 from marl_lanes.traffic.simulator import Simulator
 
 BUSY = {
-    "road": {"length": 400.0},
+    "road": {"length": 400.0, "num_lanes": 5},
     "command": {"position": [20.0, 80.0], "probability": 1.0},
     "departures": {"interval": [1.0, 3.0], "initial_speed": [6.0, 20.0]},
     "warmup": [0.0, 15.0],
@@ -28,7 +28,7 @@ BUSY = {
     "horizon": None,
     "observation": EVERY_FEATURE,
 }
-"""What every drawn scenario has where nothing else is drawn: the paper's, short and full."""
+"""What every drawn scenario has where nothing else is drawn: the paper's, short, wide and full."""
 BASE = load_scenario("paper", BUSY)
 
 
@@ -149,7 +149,9 @@ DRIVERS = section(
 DEPARTURES = section(
     interval=ranges(0.4, 6.0), initial_speed=ranges(1.0, 30.0), desired_speed=ranges(3.0, 45.0)
 )
+OPEN_GAP = {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0, "max_braking": 50.0}
 GAP = st.one_of(
+    st.just(OPEN_GAP),
     section(
         rule=st.just("kinematic"),
         minimum_gap=numbers(0.0, 5.0),
@@ -171,18 +173,23 @@ EXTERNAL = section(
     max_speed=numbers(10.0, 50.0),
     is_guarded=st.booleans(),
 )
-FOLLOWERS = section(
-    mix=mixes("neutral", "cooperative", "adversarial", "learned", "polite", "rude"),
-    cooperative=section(
-        time_headway=numbers(0.3, 3.0), max_braking=numbers(0.5, 6.0), moves_over=st.just(True)
+RECKLESS = {"max_acceleration": 6.0, "max_speed": 60.0, "is_guarded": False}
+FOLLOWERS = st.one_of(
+    mixes("learned", "rude").map(lambda mix: {"mix": mix, "external": RECKLESS}),
+    mixes("cooperative").map(lambda mix: {"mix": mix, "cooperative": {"moves_over": True}}),
+    section(
+        mix=mixes("neutral", "cooperative", "adversarial", "learned", "polite", "rude"),
+        cooperative=section(
+            time_headway=numbers(0.3, 3.0), max_braking=numbers(0.5, 6.0), moves_over=st.just(True)
+        ),
+        adversarial=section(
+            desired_speed_factor=numbers(1.0, 2.0),
+            max_acceleration=numbers(0.5, 6.0),
+            time_headway=numbers(0.1, 1.5),
+        ),
+        external=EXTERNAL,
+        learned=section(objective=st.sampled_from(["cooperative", "adversarial"])),
     ),
-    adversarial=section(
-        desired_speed_factor=numbers(1.0, 2.0),
-        max_acceleration=numbers(0.5, 6.0),
-        time_headway=numbers(0.1, 1.5),
-    ),
-    external=EXTERNAL,
-    learned=section(objective=st.sampled_from(["cooperative", "adversarial"])),
 )
 COMPLETION = section(
     max_deviation=numbers(0.05, 1.2),
@@ -190,7 +197,7 @@ COMPLETION = section(
     max_yaw_rate=st.none() | numbers(0.01, 0.3),
 )
 ACTION = section(
-    max_yaw_acceleration=numbers(0.1, 2.0),
+    max_yaw_acceleration=numbers(0.1, 5.0),
     longitudinal=section(
         max_acceleration=numbers(0.5, 4.0),
         max_braking=numbers(0.5, 8.0),
@@ -233,7 +240,7 @@ def _roads(draw, length):
     """Lanes and arcs; a radius is doubled until lane keeping can take the curve."""
     road = {"length": length}
     if draw(st.booleans()):
-        road["num_lanes"] = draw(st.sampled_from([3, 4, 5, 6, 2]))
+        road["num_lanes"] = draw(st.sampled_from([3, 4, 6, 2]))
     if draw(st.booleans()):
         road["lane_width"] = draw(numbers(2.5, 5.0))
     arcs, place = [], 0.0
@@ -278,7 +285,7 @@ def drawn(draw):
     manner = {
         "seed": draw(st.integers(0, 2**64 - 1)),
         "noise": draw(st.sampled_from([0.0, 0.1, 0.4, 5.0])),
-        "bias": draw(st.sampled_from([0.0, 0.0, 0.0, 0.3])),
+        "bias": draw(st.sampled_from([0.0, 0.0, 0.0, 0.3, 3.0])),
         "pushing": draw(st.sampled_from([0.0, 2.0, 5.0])),
     }
     overrides = draw(_overrides())
