@@ -171,8 +171,8 @@ MOTIONS = (
     ),
     Motion(
         "lane change, given actions",
-        # It is never complete, so the actions count to the end.
-        {"completion": {"max_deviation": 0.001, "max_yaw_rate": 1e-6}},
+        # It is complete at the very end if at all, so the actions count.
+        {"completion": dict.fromkeys(("max_deviation", "max_lateral_speed", "max_yaw_rate"), 1e-3)},
         ({"position": 100.0, "speed": 20.0, "desired_speed": 20.0},),
         _change,
         (1.5 * LANE, 0.0, 0.0),

@@ -16,15 +16,25 @@ from comparing import (
 from reference.road import Road
 
 
-def follow(case, simulator, num_steps):
-    """Both from the simulator's present state on, each by itself; counts what occurred.
+def follow_from_reset(case, num_steps):
+    """Both from the seed on: reset, warm-up and steps."""
+    simulator = case.simulator()
+    road = Road.after_reset(simulator.scenario, case.seed)
+    compare_road(road, simulator, 0)
+    compare_vehicles(road, simulator, 0)
+    return follow(case, simulator, road, num_steps)
+
+
+def follow(case, simulator, road, num_steps):
+    """Both from their present state on, each by itself; counts what occurred.
 
     Args:
         case: of ``drawn_scenarios``: the actions.
         simulator: one road.
+        road: the same one of the reference.
         num_steps: time steps.
     """
-    road, met = Road.of(simulator), Counter()
+    met = Counter()
     generator = np.random.default_rng(case.seed)
     for step in range(num_steps):
         moving = moving_over(road)
