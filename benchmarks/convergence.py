@@ -69,7 +69,8 @@ class Motion:
 
     def simulate(self, time_step: float) -> float:
         """The compared quantity after DURATION in the simulation [m]."""
-        simulator = Simulator("paper", overrides=EMPTY | self.overrides | {"time_step": time_step})
+        overrides = EMPTY | self.overrides | {"time_step": time_step}
+        simulator = Simulator("paper", seed=0, overrides=overrides)
         simulator.reset()
         simulator.state.lanes["next_departure"] = math.inf
         for slot, car in enumerate(self.cars):
