@@ -25,12 +25,19 @@ def _parse_pair(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
+def _is_printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must have printable characters only")
+    return text
+
+
 def _is_ascending(pair: tuple[float, float]) -> tuple[float, float]:
     if pair[0] > pair[1]:
         raise ValueError("the first number must not be above the second")
     return pair
 
 
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_is_printable)]
 Real = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0)]
