@@ -1,5 +1,6 @@
 """Messages about fields that are not valid: field, value, what is allowed."""
 
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from reprlib import Repr
@@ -18,18 +19,14 @@ MAX_PROBLEMS = 10
 """Problems of one message."""
 
 _WORDS = (
-    ("Input should be", "must be"),
-    ("a valid tuple", "a list"),
-    ("a valid list", "a list"),
-    ("a valid dictionary", "a mapping"),
-    ("a valid string", "text"),
-    ("String should", "must"),
-    ("Tuple should", "must"),
-    ("List should", "must"),
-    ("Dictionary should", "must"),
-    (" after validation", ""),
+    (r"^Value error, ", ""),
+    (r"^\w+ should", "must"),
+    (r"a valid (tuple|list)", "a list"),
+    (r"a valid dictionary", "a mapping"),
+    (r"a valid string", "text"),
+    (r" after validation", ""),
 )
-"""What pydantic says, and how a message says it."""
+"""What pydantic says, as a pattern, and how a message says it."""
 
 _SHORT = Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = MAX_SHOWN
@@ -47,9 +44,9 @@ def explain(error: ValidationError, kind: type[BaseModel]) -> str:
     for problem in problems[:MAX_PROBLEMS]:
         path = problem["loc"]
         location = ".".join(shown_name(part) for part in path)
-        message = problem["msg"].removeprefix("Value error, ")
+        message = problem["msg"]
         for pydantics, ours in _WORDS:
-            message = message.replace(pydantics, ours)
+            message = re.sub(pydantics, ours, message)
         if problem["type"] == "extra_forbidden":
             lines.append(unknown_key(location, fields_at(kind, path[:-1]) or ()))
         elif problem["type"] == "missing":

@@ -135,7 +135,7 @@ class Gap(Section):
 class Scenario(Section):
     """A road, its traffic, the commands, the agents' action, observation and reward."""
 
-    name: Name = Field(description="the scenario's name [text], 1 to 100 printable characters")
+    name: Name = Field(description="the scenario's name [text], 1 to 255 characters")
     description: str = Field(
         "",
         max_length=1000,

@@ -1,5 +1,6 @@
 """YAML files, a stranger's too: plain values within bounds, or one line about what is wrong."""
 
+import errno
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -52,13 +53,15 @@ def read_yaml(path: Path) -> Any:
         YamlError: it is no regular file, cannot be read, is too large, or not such YAML.
     """
     try:
-        # Reading a pipe or a device might never end.
         if path.exists() and not path.is_file():
-            raise YamlError("cannot be read: must be a regular file")
+            # Reading a pipe or a device might never end.
+            raise OSError(errno.EINVAL, "must be a regular file")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise YamlError(f"cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise YamlError("cannot be read: no file can have this name") from None
     return parse_yaml(content)
 
 

@@ -1,0 +1,92 @@
+"""Broken scenarios: each is refused in one line, in the time that a whole one takes."""
+
+import random
+from importlib import resources
+
+import pytest
+from scenario.breakages import as_yaml, breakages, faults_of, fields_with
+
+from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
+
+
+def outcome(source):
+    """The message of a scenario that is refused, else the scenario; nothing else is raised."""
+    try:
+        return load_scenario(source)
+    except ScenarioError as error:
+        return str(error)
+
+
+def check_breakages(folder, cases):
+    file = folder / "broken.yaml"
+    for path, value in cases:
+        file.write_text(as_yaml(fields_with(path, value)), encoding="utf-8")
+        message = outcome(file)
+        assert isinstance(message, str), (path, value)
+        assert message.startswith(f"scenario file {file}: ")
+        assert not faults_of(message, path, value), message
+
+
+def test_a_broken_field_is_refused_in_one_line(tmp_path):
+    check_breakages(tmp_path, breakages()[::5])
+
+
+@pytest.mark.long
+def test_every_field_broken_in_every_way_is_refused_in_one_line(tmp_path):
+    check_breakages(tmp_path, breakages())
+
+
+def test_each_field_is_broken_in_several_ways():
+    paths = [path for path, _ in breakages()]
+    assert len(paths) > 2000
+    assert {"road", "name", "horizon"} <= {path[0] for path in paths}
+    assert min(map(paths.count, set(paths))) >= 10
+
+
+def mutated(content, source):
+    """The bytes of a file after a few accidents: flipped bits, cuts, swapped or doubled lines."""
+    for _ in range(source.randint(1, 3)):
+        place = source.randrange(len(content))
+        kind = source.randrange(4)
+        if kind == 0:
+            flipped = content[place] ^ (1 << source.randrange(8))
+            content = content[:place] + bytes([flipped]) + content[place + 1 :]
+        elif kind == 1:
+            content = content[:place] + content[place + source.randint(1, 30) :]
+        elif kind == 2:
+            lines = content.splitlines(keepends=True)
+            source.shuffle(lines)
+            content = b"".join(lines)
+        else:
+            lines = content.splitlines(keepends=True)
+            lines.insert(source.randrange(len(lines)), source.choice(lines))
+            content = b"".join(lines)
+        content = content or b" "
+    return content
+
+
+def check_mutations(tmp_path, count):
+    file = tmp_path / "mutated.yaml"
+    source = random.Random(0)  # noqa: S311 - accidents
+    num_refused = 0
+    for name in list_scenarios():
+        whole = resources.files("marl_lanes.scenarios").joinpath(f"{name}.yaml").read_bytes()
+        for _ in range(count):
+            file.write_bytes(mutated(whole, source))
+            found = outcome(file)
+            if isinstance(found, Scenario):
+                continue
+            num_refused += 1
+            assert "\n" not in found
+            assert len(found) < 5000
+    # Some mutations leave a scenario, in a comment or another number.
+    assert num_refused > count
+
+
+def test_mutated_files_are_scenarios_or_refused_in_one_line(tmp_path):
+    check_mutations(tmp_path, 20)
+
+
+@pytest.mark.long
+def test_many_mutated_files_are_scenarios_or_refused_in_one_line(tmp_path):
+    check_mutations(tmp_path, 2000)
