@@ -1,6 +1,7 @@
 """Broken scenarios: each is refused in one line, in the time that a whole one takes."""
 
 import random
+import sys
 from importlib import resources
 
 import pytest
@@ -90,3 +91,28 @@ def test_mutated_files_are_scenarios_or_refused_in_one_line(tmp_path):
 @pytest.mark.long
 def test_many_mutated_files_are_scenarios_or_refused_in_one_line(tmp_path):
     check_mutations(tmp_path, 2000)
+
+
+OPENED = []
+"""What was opened while it was a list to be filled; a hook for audits stays for good."""
+
+
+def watch_opened(event, arguments):
+    if event == "open" and OPENED:
+        OPENED.append(arguments[0])
+
+
+def test_loading_a_file_opens_that_file_alone(tmp_path):
+    """Whichever text of the scenario names another file."""
+    sys.addaudithook(watch_opened)
+    bait = tmp_path / "bait.yaml"
+    bait.write_text("num_slots: 3\n", encoding="utf-8")
+    file = tmp_path / "mine.yaml"
+    texts = [path for path, value in breakages() if value == "many"] + [("name",), ("description",)]
+    load_scenario(tmp_path / "bait.yaml")
+    for path in [*texts, ("followers", "learned", "checkpoint")]:
+        file.write_text(as_yaml(fields_with(path, str(bait))), encoding="utf-8")
+        OPENED[:] = ["begin"]
+        outcome(file)
+        assert ["begin", str(file)] == OPENED, path
+        OPENED.clear()
