@@ -2,6 +2,7 @@
 
 import os
 import time
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -207,7 +208,7 @@ def test_only_regular_files_are_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "circle").symlink_to("circle")
     with (tmp_path / "large").open("wb") as file:
-        file.truncate(3 * 2**30)
+        file.truncate(64 * MAX_BYTES)
     (tmp_path / "good.yaml").write_text("a: 1\n", encoding="utf-8")
     (tmp_path / "link").symlink_to("good.yaml")
     assert read_yaml(tmp_path / "link") == {"a": 1}
@@ -221,8 +222,11 @@ def test_only_regular_files_are_read(tmp_path):
         "x" * 5000: "too long",
         "with\0": "no file can have this name",
     }
+    tracemalloc.start()
     for name, part in wrong.items():
         with pytest.raises(YamlError, match=f"^cannot be read: .*{part}"):
             read_yaml(tmp_path / name)
+    assert tracemalloc.get_traced_memory()[1] < 8 * MAX_BYTES
+    tracemalloc.stop()
     with pytest.raises(YamlError, match="must be a regular file"):
         read_yaml(Path("/dev/zero"))
