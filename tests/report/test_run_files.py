@@ -51,6 +51,7 @@ def test_a_folder_without_a_run(tmp_path):
         ("evaluation.json", b"\xff\xff", "evaluation.json: cannot be read"),
         ("training.json", "[1]", "training.json: must be a mapping"),
         ("training.json", '{"seconds_a": "b"}', "seconds_a = 'b': must be a number"),
+        ("training.json", f'{{"a": "{"b" * 200}"}}', "bbb...bbb"),
         ("config.yaml", "seed: [", "its config.yaml: not readable as YAML"),
         ("config.yaml", "seed: 1", "its config.yaml: scenario = None: must be a name"),
         ("choice.json", "{}", "choice.json: chosen: must be given"),
