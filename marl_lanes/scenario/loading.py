@@ -56,10 +56,10 @@ def load_scenario(
     if isinstance(source, Scenario):
         if not overrides:
             return source
-        origin, fields = f"scenario {shown(source.name)}", _copy(source, "")
+        origin, fields = f"scenario {source.name!r}", source.model_dump(mode="json")
     else:
-        origin, fields = _read(source)
-        fields = _merge(_copy(Scenario(name="custom"), origin), fields)
+        origin, named = _read(source)
+        fields = _merge(Scenario(name="custom").model_dump(mode="json"), named)
     try:
         return Scenario.model_validate(_merge(fields, _copy(overrides or {}, origin)))
     except ValidationError as error:
@@ -125,7 +125,7 @@ def _place_checkpoint(fields: dict[str, Any], folder: Path, origin: str) -> None
             learned["checkpoint"] = str(path)
 
 
-def _copy(fields: BaseModel | Mapping[str, Any], origin: str) -> dict[str, Any]:
+def _copy(fields: Mapping[str, Any], origin: str) -> dict[str, Any]:
     """The fields as Python's types: text as keys, no numbers and arrays of numpy."""
     values = iter(range(MAX_VALUES))
 
@@ -142,8 +142,8 @@ def _copy(fields: BaseModel | Mapping[str, Any], origin: str) -> dict[str, Any]:
         if isinstance(value, Mapping):
             for key in value:
                 if not isinstance(key, str):
-                    place = f"{'.'.join(path)}: " if path else ""
-                    raise ScenarioError(f"{origin}: {place}key {shown(key)}: must be text")
+                    place = "".join(f"{shown_name(part)}." for part in path)
+                    raise ScenarioError(f"{origin}: {place}{shown(key)}: a key must be text")
             return {str(key): copy(inner, (*path, key)) for key, inner in value.items()}
         if isinstance(value, list | tuple):
             return [copy(inner, (*path, str(index))) for index, inner in enumerate(value)]
