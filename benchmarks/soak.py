@@ -178,7 +178,7 @@ def soak(courses: list[Course], num_vehicle_steps: int, memory: Memory) -> bool:
                 course.drive()
             done = sum(course.num_vehicle_steps for course in courses)
             used, now = memory.sample(done), time.perf_counter()
-            if now - shown >= 1.0 or done >= num_vehicle_steps:
+            if now - shown >= 10.0 or done >= num_vehicle_steps:
                 shown = now
                 bad = sum(course.violations.total() for course in courses)
                 print(
