@@ -177,7 +177,7 @@ def test_the_follower_has_learned_and_drives(single, monkeypatch):
     monkeypatch.chdir(run)
     learned = {"mix": {"learned": 1.0}, "learned": {"checkpoint": "checkpoints/final.pt"}}
     scenario = load_scenario("dense", {"followers": learned})
-    simulator = Simulator(scenario, 2, follower_policies=find_policies(scenario))
+    simulator = Simulator(scenario, 2, follower_policies=find_policies(scenario), seed=0)
     simulator.reset()
     for _ in range(5):
         simulator.step(torch.zeros(2, scenario.num_slots, 1).numpy())

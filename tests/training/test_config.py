@@ -55,7 +55,7 @@ def test_fast_is_the_default():
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_the_recipes_overrides_fit_the_scenario(recipe):
     config = typed(f"recipe={recipe}")
-    env = LaneChangeEnv(config.scenario, 1, overrides=config.training_overrides)
+    env = LaneChangeEnv(config.scenario, 1, overrides=config.training_overrides, seed=0)
     # Collecting never waits for an episode's end, the evaluation has one.
     assert env.scenario.num_agents is None
     assert env.scenario.horizon is None
