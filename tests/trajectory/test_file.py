@@ -93,7 +93,7 @@ def test_the_file_says_units_meanings_and_what_it_is_of(file):
     assert schema.field("speed").metadata[b"unit"] == b"m/s"
     assert b"heading" in schema.field("yaw").metadata[b"meaning"]
     found = json.loads(schema.metadata[METADATA_KEY])
-    assert (found["seed"], found["policy"], found["format"]) == (0, "tuned-cascade", 1)
+    assert (found["seed"], found["policy"], found["format"]) == (0, "tuned-cascade", 2)
     assert load_scenario(found["scenario"]) == load_scenario("interactive")
 
 
