@@ -1,11 +1,13 @@
 """A training state goes on exactly as before, and is read without running code."""
 
 import gc
+import zipfile
 from pathlib import Path
 
 import pytest
 import torch
 from checkpoints import OTHER_FILES, assert_runs_no_code
+from damage import assert_read_as_it_was_or_refused
 from tensordict.nn import TensorDictSequential
 from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate
@@ -133,6 +135,23 @@ def test_a_state_before_the_first_transition(tmp_path):
     for key, value in one.loss.state_dict().items():
         assert other.loss.state_dict()[key].shape == value.shape, key
     one.collector.shutdown()
+
+
+@pytest.mark.training
+@collector_warnings
+def test_a_damaged_state_is_refused_or_reads_the_same(tmp_path):
+    one = Parts(NEW)
+    one.train(1)
+    save_state(tmp_path / "s.pt", counters={"a": 1.0}, tables={}, **one.kept())
+    one.collector.shutdown()
+
+    def plain(path):
+        torch.save(read_state(path), tmp_path / "again.pt")
+        with zipfile.ZipFile(tmp_path / "again.pt") as archive:
+            return [entry.CRC for entry in archive.infolist()]
+
+    found = assert_read_as_it_was_or_refused(tmp_path / "s.pt", plain, CheckpointError, 100)
+    assert found > 50
 
 
 @pytest.mark.parametrize("save", ["pickle", "torch"])
