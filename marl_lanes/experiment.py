@@ -15,6 +15,7 @@ from marl_lanes.evaluation.tables import format_summary
 from marl_lanes.extras import need
 from marl_lanes.files import write_text
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
+from marl_lanes.rendering.encoding import FilmError
 from marl_lanes.report.conclusion import conclude
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.followers import LEARNED
@@ -105,13 +106,17 @@ def _find_files(scenario: Scenario, training_scenario: Scenario) -> dict[str, Pa
 
 
 def run(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:
-    """Train until the end or an interruption, and report. If a worker dies, the program ends."""
+    """Train until the end or an interruption, and report.
+
+    If a worker dies or the disk is full, the program ends.
+    """
     try:
-        _train(learner, config, scenario)
-    except WorkerError as error:
+        try:
+            _train(learner, config, scenario)
+        finally:
+            learner.close()
+    except (WorkerError, OSError, FilmError) as error:
         sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
-    finally:
-        learner.close()
 
 
 def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:

@@ -1,6 +1,5 @@
 """Programs that are killed, or find the disk full, at a chosen one of their writes."""
 
-import contextlib
 import os
 import resource
 import signal
@@ -53,9 +52,9 @@ def run_until(program, folder, options, number, act):
         act: what to do then.
 
     Returns:
-        the exit status as of ``subprocess``, and what was printed to stderr.
+        the exit status as of ``subprocess``, and what was printed.
     """
-    printed = folder / "stderr"
+    reader, writer = os.pipe()
     with warnings.catch_warnings():
         # Python says that threads do not live on in a child: none is needed there.
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -63,9 +62,9 @@ def run_until(program, folder, options, number, act):
     if not child:
         status = 70
         try:
-            with printed.open("w") as file:
-                os.dup2(file.fileno(), 2)
-                os.dup2(file.fileno(), 1)
+            os.dup2(writer, 1)
+            os.dup2(writer, 2)
+            os.close(writer)
             sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
             _watch(folder / "run", number, act)
             os.chdir(folder)
@@ -77,12 +76,13 @@ def run_until(program, folder, options, number, act):
         except BaseException:
             traceback.print_exc()
         finally:
-            with contextlib.suppress(OSError):
-                sys.stderr.flush()
+            sys.stdout.flush()
+            sys.stderr.flush()
             os._exit(status)
+    os.close(writer)
+    with os.fdopen(reader, encoding="utf-8") as file:
+        text = file.read()
     _, status = os.waitpid(child, 0)
-    text = printed.read_text(encoding="utf-8")
-    printed.unlink()
     return os.waitstatus_to_exitcode(status), text
 
 

@@ -196,9 +196,13 @@ class RunFolder:
             else:
                 for name in self._columns:
                     check_extent(self._table(name), extents.get(name))
-            self._begin(extents or {}, None if extents is None else until + 1)
         except BaseException:
             self.close()
+            raise
+        try:
+            self._begin(extents or {}, None if extents is None else until + 1)
+        except BaseException:
+            self.close() if extents is not None else self.discard()
             raise
 
     def _begin(self, extents: Mapping[str, Extent], purge_step: int | None) -> None:

@@ -299,12 +299,12 @@ def test_a_run_that_is_killed_often_goes_on_as_if_it_had_not_been(program, whole
     assert_same_files(run, reference)
 
 
-@pytest.mark.parametrize("place", [1, 2, 5, 9, 13, 15, 16, 18])
+@pytest.mark.parametrize("place", [2, 9, 13, 16, 30])
 def test_a_full_disk_is_one_line_and_the_last_state_stays(program, tmp_path, place):
     run = prepare(tmp_path) / "run"
     options = [*TINY, UNRECORDED, "output=run"]
     status, printed = run_until(program, tmp_path, options, place, fill_disk(0))
-    assert status in {1, 2}
+    assert status in {1, 2}, printed[-3000:]
     (line,) = [line for line in printed.splitlines() if "error:" in line]
     assert "File too large" in line
     assert "Traceback" not in printed
