@@ -403,6 +403,47 @@ def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
     assert read(program, "resume=run").ray.address == "10.0.0.1:1"
 
 
+def foreign_state(path):
+    content = torch.load(path, weights_only=True)
+    content["loss"] = {name: value for name, value in content["loss"].items() if "mu" not in name}
+    torch.save(content, path)
+
+
+@collector_warnings
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("config.yaml", lambda path: replace(path, "seed: 0", "seed: 1"), "config.yaml must be as"),
+        ("config.yaml", lambda path: path.write_bytes(b"{"), "its config.yaml"),
+        ("config.yaml", lambda path: path.write_bytes(b"\xff"), "its config.yaml"),
+        ("config.yaml", Path.unlink, "must be a run folder; it has no config.yaml"),
+        ("scenario.yaml", lambda path: replace(path, "400.0", "401.0"), "scenario.yaml must be as"),
+        ("scenario.yaml", Path.unlink, "must be a run folder; it has no scenario.yaml"),
+        ("SHA256SUMS", Path.unlink, "its SHA256SUMS is damaged or gone"),
+        ("resume.pt", Path.unlink, "resume.pt: there is none: the run was ended before it began"),
+        ("resume.pt", lambda path: path.write_bytes(b"PK"), "resume.pt: not a training state"),
+        ("resume.pt", foreign_state, "resume.pt: does not fit this run: weights: "),
+        ("metrics.csv", lambda path: replace(path, "\n", ",\n"), "metrics.csv: must begin with"),
+        ("evaluations.csv", Path.unlink, "evaluations.csv: must begin with the rows of the run"),
+        (".lock", lambda path: (path.unlink(), path.mkdir()), "Is a directory"),
+    ],
+)
+def test_a_run_that_is_broken_is_refused_in_a_line(
+    program, whole, tmp_path, monkeypatch, name, change, message
+):
+    run, _ = whole
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(run, "run", ignore=shutil.ignore_patterns("figures", "tensorboard"))
+    change(tmp_path / "run" / name)
+    with pytest.raises((ValueError, OSError), match=message) as caught:
+        begin(program, program.read(["resume=run"]))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def replace(path, old, new):
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+
+
 @collector_warnings
 def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path, monkeypatch):
     run, _ = whole
