@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from marl_lanes.evaluation.headlines import HEADLINES
 from marl_lanes.files import open_regular
+from marl_lanes.scenario.messages import shown, shown_name
 from marl_lanes.training.config import CONFIG_FILE, ConfigError, validate
 from marl_lanes.training.inputs import find_scenario
 from marl_lanes.training.run_folder import (
@@ -199,5 +200,5 @@ def _read_seconds(path: Path) -> dict[str, float]:
         raise ReportError(f"{path}: must be a mapping of fields")
     for name, value in seconds.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ReportError(f"{path}: {name} = {value!r}: must be a number")
+            raise ReportError(f"{path}: {shown_name(name)} = {shown(value)}: must be a number")
     return seconds

@@ -6,10 +6,9 @@ import stat
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-import yaml
-
 from marl_lanes.files import copy_file, open_regular, write_text
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario.yaml_files import format_yaml
 from marl_lanes.training.config import CONFIG_FILE, ConfigError, ProgramConfig, write_config
 
 SCENARIO_FILE = "scenario.yaml"
@@ -60,7 +59,7 @@ def keep_inputs(
     fields = kept.model_dump(mode="json")
     if LEARNED_FILE in files:
         fields["followers"]["learned"]["checkpoint"] = LEARNED_FILE
-    write_text(folder / SCENARIO_FILE, yaml.safe_dump(fields, sort_keys=False))
+    write_text(folder / SCENARIO_FILE, format_yaml(fields))
     names = [CONFIG_FILE, SCENARIO_FILE, *files]
     lines = [f"{_digest(folder / name)}  {name}\n" for name in names]
     write_text(folder / SUMS_FILE, "".join(lines))

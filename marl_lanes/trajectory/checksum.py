@@ -27,7 +27,7 @@ class Checksum:
             if column.kind.startswith("f"):
                 # There are many nan; a missing value is read as this one.
                 values = np.where(np.isnan(values), values.dtype.type(np.nan), values)
-            self._columns[column.name].update(np.ascontiguousarray(values))
+            self._columns[column.name].update(np.ascontiguousarray(values).data)
 
     def finish(self) -> bytes:
         """The checksum in hexadecimal digits."""

@@ -93,6 +93,7 @@ def test_a_folder_may_be_a_link_and_hold_links_to_its_own_files(tmp_path):
             "final_maneuvers.csv: not readable as CSV",
         ),
         ("final_maneuvers.csv", "road\n" + "1,2\n" * 4, "final_maneuvers.csv: "),
+        ("training.json", f'{{"a": "{"b" * 200}"}}', "bbb...bbb"),
         ("choice.json", "{}", "choice.json: chosen: must be given"),
         ("final_maneuvers.csv", "road,command\n1,2\n", "has 1 maneuvers: must have the 4"),
         ("final_maneuvers.csv", "road\n" + "x\n" * 4, "road = 'x': must be a valid integer"),
