@@ -107,12 +107,12 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = target.with_name(f"{_prefix(target)}{os.getpid()}")
     try:
         yield temporary
+        _flush(temporary)
         if before is not None:
             with suppress(PermissionError):
                 os.chown(temporary, before.st_uid, before.st_gid)
             with suppress(PermissionError):
                 temporary.chmod(stat.S_IMODE(before.st_mode))
-        _flush(temporary)
         temporary.replace(target)
         _flush(target.parent)
     finally:
