@@ -69,6 +69,8 @@ figures: $(VENV)/installed
 		--figure docs/figures/followers.svg --figure docs/figures/followers.png
 	$(BIN)/marl-lanes record tuned-cascade --scenario yielding --follow changer_7 --start 39 --seconds 9 \
 		--span 150 --size 800x500 --out docs/figures/highway.gif
+	$(BIN)/python benchmarks/convergence.py \
+		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
@@ -85,4 +87,4 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf build dist .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf build dist .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
