@@ -18,7 +18,7 @@ class Road(Section):
     arcs: tuple[Arc, ...] = Field(
         (),
         max_length=1000,
-        description="curves [list of up to 1000], ascending, disjoint; the road is straight "
+        description="curves [list], at most 1000, ascending, disjoint; the road is straight "
         "elsewhere",
     )
 

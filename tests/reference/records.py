@@ -27,8 +27,10 @@ class Car:
     profile: str
     disposition: int
     moving_over: int = 0
+    advance: float = 0.0
     agent: "Agent | None" = None
     changer: "Car | None" = None
+    before: tuple = (0.0, 0.0)
     is_off_road: bool = False
     is_past_end: bool = False
     is_hit: bool = False

@@ -136,6 +136,7 @@ class Road(Roles):
             steering -= 3 * pole**2 * car.yaw + 3 * pole * (car.yaw_rate - turn_rate)
             car.yaw_acceleration = min(max(steering, -bound), bound)
         step, before = scenario.time_step, (car.speed, car.yaw_rate)
+        car.before = car.position, car.lateral_position
         car.speed = max(0.0, car.speed + car.acceleration * step)
         fastest = car.speed / scenario.vehicle.min_turning_radius
         car.yaw_rate = min(max(car.yaw_rate + car.yaw_acceleration * step, -fastest), fastest)
@@ -145,6 +146,7 @@ class Road(Roles):
         car.yaw += (car.yaw_rate - turn_rate) * step
         c = self.curvature(car.position)
         along = car.speed * math.cos(car.yaw) / (1.0 - c * car.lateral_position)
+        car.advance = along * step
         car.position += along * step
         car.lateral_position += car.speed * math.sin(car.yaw) * step
         across = [corner[1] for corner in self.corners(car)]

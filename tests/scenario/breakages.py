@@ -63,7 +63,7 @@ def _wrong_values(schema):
     if "exclusiveMinimum" in schema:
         yield schema["exclusiveMinimum"]
     if "maximum" in schema:
-        yield from (schema["maximum"] + 1, 10**9)
+        yield from (schema["maximum"] + 1, schema["maximum"] * 10**6)
     if "maxLength" in schema:
         yield "x" * (schema["maxLength"] + 1)
     if "enum" in schema:

@@ -149,6 +149,19 @@ CASES = {
         bias=0.4,
         meets=("COLLISION", "OFF_ROAD"),
     ),
+    "through each other": Case(
+        "paper",
+        CROWDED
+        | OPEN_GAP
+        | {"time_step": 0.5, "lane_keeping": {"pole": 1.0}}
+        | {"followers": {"mix": {"learned": 1.0}, "external": {**RECKLESS, "max_speed": 70.0}}},
+        150,
+        noise=0.5,
+        pushing=9.0,
+        has_learner=True,
+        meets=("paired", "collision", "OFF_ROAD"),
+    ),
+    "full road": Case("paper", CROWDED | {"max_vehicles": 14}, 150, meets=("WAITING",)),
     "two actions": Case("paper", BUSY | LONGITUDINAL | PAID, 150, meets=("COMPLETED",)),
     "two actions, crowded": Case(
         "interactive",
@@ -179,6 +192,7 @@ CASES = {
         },
         150,
         noise=0.5,
+        seed=1,
         pushing=3.0,
         has_learner=True,
         meets=("paired", "collision", "braking"),
@@ -190,6 +204,7 @@ CASES = {
         | LONGITUDINAL
         | {"followers": {"mix": {"polite": 1.0, "adversarial": 0.5, "learned": 1.0, "rude": 1.0}}},
         220,
+        seed=4,
         has_learner=True,
         policies={
             "polite": lambda seen: 0.2 * (seen[:, 2] - 10.0).clip(-10.0, 10.0),
