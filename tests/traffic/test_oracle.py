@@ -3,8 +3,8 @@
 from collections import Counter
 
 import pytest
-from drawn_scenarios import drawn, share_of
-from hypothesis import given
+from drawn_scenarios import Drawn, drawn, share_of
+from hypothesis import example, given
 from oracle import follow_from_reset
 
 from marl_lanes.traffic.machine.state import CollisionKind, Outcome, Phase
@@ -25,6 +25,7 @@ def hold(number, *, is_whole):
 
     @share_of(number, is_whole=is_whole)
     @given(drawn())
+    @example(Drawn({"command": {"position": [0.0, 0.0]}}))
     def compare(case):
         met.update(follow_from_reset(case, NUM_STEPS))
         met["cases"] += 1
