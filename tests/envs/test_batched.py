@@ -2,14 +2,18 @@
 
 import copy
 import pickle
+from types import SimpleNamespace
 
+import psutil
 import pytest
 import torch
+from forking import exit_code_of_child
 from tensordict import TensorDict, assert_close
 from tensordict.nn import TensorDictModule
 from torchrl.envs.utils import check_env_specs
 
-from marl_lanes import LaneChangeEnv, ScenarioError
+from marl_lanes import LaneChangeEnv, ScenarioError, parallel_env
+from marl_lanes.envs import batched
 from marl_lanes.traffic.machine.state import Outcome
 
 torch.set_num_threads(1)
@@ -75,7 +79,7 @@ def busy():
 @pytest.mark.parametrize("num_envs", [1, 4])
 @pytest.mark.parametrize("scenario", ["paper", "dense", "curved", "five_lanes", "touch"])
 def test_it_passes_torchrls_spec_check(scenario, num_envs):
-    env = LaneChangeEnv(scenario, num_envs)
+    env = LaneChangeEnv(scenario, num_envs, seed=0)
     check_env_specs(env)
     check_env_specs(env, break_when_any_done="both")
     num_slots = env.scenario.num_slots
@@ -111,7 +115,7 @@ def test_roads_differ_and_do_not_depend_on_their_number():
 
 
 def test_a_partial_reset_leaves_the_other_roads_alone():
-    env, twin = (LaneChangeEnv("dense", 3, overrides={"num_slots": 4}) for _ in range(2))
+    env, twin = (LaneChangeEnv("dense", 3, overrides={"num_slots": 4}, seed=0) for _ in range(2))
     last, same = (roll(one, 60)[:, -1]["next"] for one in (env, twin))
     before = [road_bytes(env, road) for road in range(3)]
     assert last["changers", "mask"].any(1).all()
@@ -140,7 +144,7 @@ def test_a_partial_reset_leaves_the_other_roads_alone():
 
 
 def test_a_reset_of_every_road_and_of_none():
-    env = LaneChangeEnv("paper", 2)
+    env = LaneChangeEnv("paper", 2, seed=0)
     roll(env, 20)
     state = env.simulator.state.tobytes()
     assert env.simulator.roads["step"].tolist() == [20, 20]
@@ -218,7 +222,9 @@ def test_outcomes_end_the_agents_as_they_should(busy):
 
 
 def test_a_missed_command_is_truncated():
-    env = LaneChangeEnv("dense", 1, overrides={"gap": {"minimum_gap": 500.0}, "num_agents": 2})
+    env = LaneChangeEnv(
+        "dense", 1, overrides={"gap": {"minimum_gap": 500.0}, "num_agents": 2}, seed=0
+    )
     steps = env.rollout(LONG, hold)
     after = steps["next", "changers"]
     ends = after["done"].squeeze(-1)
@@ -232,7 +238,7 @@ def test_a_missed_command_is_truncated():
 
 
 def test_the_last_command_terminates_a_road():
-    env = LaneChangeEnv("paper", 1, overrides=SHORT)
+    env = LaneChangeEnv("paper", 1, overrides=SHORT, seed=0)
     steps = env.rollout(LONG, steer)
     done = steps["next", "done"].flatten()
     assert done.tolist() == [False] * (len(done) - 1) + [True]
@@ -243,7 +249,7 @@ def test_the_last_command_terminates_a_road():
 
 
 def test_the_horizon_truncates_agents_and_road():
-    env = LaneChangeEnv("paper", 2, overrides={**BUSY, "horizon": 30.0})
+    env = LaneChangeEnv("paper", 2, overrides={**BUSY, "horizon": 30.0}, seed=0)
     steps = env.rollout(LONG, hold)
     assert steps.shape == (2, 300)
     last = steps[:, -1]
@@ -264,7 +270,7 @@ def test_the_horizon_truncates_agents_and_road():
 def test_a_collector_resets_each_road_at_its_end():
     from torchrl.collectors import Collector
 
-    env = LaneChangeEnv("paper", 3, overrides=SHORT)
+    env = LaneChangeEnv("paper", 3, overrides=SHORT, seed=0)
     collector = Collector(env, steer, frames_per_batch=600, total_frames=3000, **PLAIN)
     steps = torch.cat([batch.clone() for batch in collector], 1)
     collector.shutdown()
@@ -299,7 +305,7 @@ def test_a_collector_runs_roads_without_end():
 
 
 def test_returned_tensors_are_nobody_elses():
-    env, twin = (LaneChangeEnv("paper", 2, overrides=BUSY) for _ in range(2))
+    env, twin = (LaneChangeEnv("paper", 2, overrides=BUSY, seed=0) for _ in range(2))
     current, same = env.reset(), twin.reset()
     frames, copies = [], []
     for _ in range(150):
@@ -320,7 +326,7 @@ def test_returned_tensors_are_nobody_elses():
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
 def test_a_copy_goes_on_by_itself(duplicate):
-    env = LaneChangeEnv("paper", 2, overrides=BUSY)
+    env = LaneChangeEnv("paper", 2, overrides=BUSY, seed=0)
     last = roll(env, 150)[:, -1]["next"].exclude(("changers", "reward"))
     twin = duplicate(env)
     frozen = env.simulator.state.tobytes()
@@ -348,7 +354,7 @@ def test_what_cannot_be_is_refused():
 
 
 def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
-    env, twin = (LaneChangeEnv("paper", 1, overrides=BUSY) for _ in range(2))
+    env, twin = (LaneChangeEnv("paper", 1, overrides=BUSY, seed=0) for _ in range(2))
 
     def step(one, action):
         return one.step(TensorDict({"changers": {"action": action}}, [1]))["next"]
@@ -366,7 +372,7 @@ def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
 
 
 def test_tensors_are_made_where_the_environment_is(monkeypatch):
-    env = LaneChangeEnv("paper", 2)
+    env = LaneChangeEnv("paper", 2, seed=0)
     # The specs cannot be made on this device.
     monkeypatch.setattr(LaneChangeEnv, "device", torch.device("meta"))
     elsewhere = env._reset()
@@ -375,7 +381,7 @@ def test_tensors_are_made_where_the_environment_is(monkeypatch):
 
 
 def test_torchrl_checks_the_types_where_it_is_asked_to(monkeypatch):
-    env = LaneChangeEnv("paper", 2)
+    env = LaneChangeEnv("paper", 2, seed=0)
     env.run_type_checks = True
     assert env.rollout(2).shape == (2, 2)
     read_out = env._read_out
@@ -391,6 +397,91 @@ def test_torchrl_checks_the_types_where_it_is_asked_to(monkeypatch):
 
 
 def test_the_device_may_be_left_open():
-    env = LaneChangeEnv("paper", 1, device=None)
+    env = LaneChangeEnv("paper", 1, device=None, seed=0)
     assert env.rollout(2).device is None
-    assert LaneChangeEnv("paper", 1, device="cpu").rollout(2).device == torch.device("cpu")
+    assert LaneChangeEnv("paper", 1, device="cpu", seed=0).rollout(2).device == torch.device("cpu")
+
+
+@pytest.mark.parametrize("learned_followers", [False, True])
+@pytest.mark.parametrize(
+    ("dtype", "device"),
+    [(torch.float64, "cpu"), (torch.bfloat16, "cpu"), (torch.float32, "meta")],
+)
+def test_torchs_defaults_change_nothing(dtype, device, learned_followers):
+    def rollout():
+        env = LaneChangeEnv("paper", 2, seed=1, overrides=BUSY, learned_followers=learned_followers)
+        check_env_specs(env)
+        env.set_seed(1)
+        return roll(env, 60, hold) if not learned_followers else env.rollout(3)
+
+    expected = rollout()
+    torch.set_default_dtype(dtype)
+    torch.set_default_device(device)
+    try:
+        found = rollout()
+    finally:
+        torch.set_default_dtype(torch.float32)
+        torch.set_default_device(None)
+    leaves = {key: leaf.dtype for key, leaf in expected.items(True, True)}
+    assert {key: leaf.dtype for key, leaf in found.items(True, True)} == leaves
+    assert found.device == torch.device("cpu")
+    if not learned_followers:
+        assert_equal(found, expected)
+
+
+def test_more_roads_than_memory_are_refused_before_anything_is_made(monkeypatch):
+    needed = 1000 * batched._bytes_of_road(LaneChangeEnv("paper", 1).scenario, False)
+    made = []
+    allocate = batched.Simulator
+    monkeypatch.setattr(batched, "Simulator", lambda *_, **__: made.append(1) or allocate)
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=needed - 1))
+    with pytest.raises(ValueError, match=r"^num_envs = 1000: needs about .* at most 999 here$"):
+        LaneChangeEnv("paper", 1000)
+    assert not made
+
+
+def test_the_estimate_of_memory_is_what_is_used():
+    env = LaneChangeEnv("interactive", 64, seed=0, learned_followers=True)
+    state = sum(array.nbytes for array in env.simulator.state.arrays)
+    state += env.simulator.actions.nbytes + env.simulator.follower_actions.nbytes
+    assert state == 64 * env.simulator.bytes_per_environment
+    bounds = sum(
+        env.full_observation_spec[group, "observation"].space.low.nbytes * 2
+        + env.full_action_spec[group, "action"].space.low.nbytes * 2
+        for group in env.group_map
+    )
+    used = state + bounds + env.rollout(1).bytes()
+    estimate = 64 * batched._bytes_of_road(env.scenario, True)
+    assert used <= estimate < 1.2 * used
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_it_works_in_a_forked_process():
+    """With so many roads torch would use its threads, which are gone there."""
+    env = LaneChangeEnv("paper", 2048, seed=0, num_threads=2, overrides={"warmup": [1.0, 1.0]})
+    torch.set_num_threads(2)
+    try:
+        env.rollout(2)
+        assert exit_code_of_child(lambda: env.rollout(2).shape == (2048, 2)) == 0
+    finally:
+        torch.set_num_threads(1)
+
+
+def test_an_episode_without_a_command_is_driven_here_and_skipped_by_pettingzoo():
+    short = {"horizon": 20.0}
+    single = parallel_env("paper", seed=0, overrides=short)
+    roads = LaneChangeEnv("paper", 1, seed=0, overrides=short)
+    num_empty = 0
+    for _ in range(5):
+        single.reset()
+        assert single.agents
+        steps = roads.rollout(200, hold)
+        while not steps["changers", "mask"].any():
+            assert bool(steps["next", "truncated"][0, -1])
+            num_empty += 1
+            steps = roads.rollout(200, hold)
+        while single.agents:
+            single.step({agent: [0.0] for agent in single.agents})
+        same = single.simulator.roads["random_counter"] == roads.simulator.roads["random_counter"]
+        assert same.all()
+    assert num_empty > 1

@@ -23,7 +23,7 @@ def test_it_comes_back():
         ("{", "not readable as JSON"),
         ("[]", "must be a mapping"),
         (100_000 * "[", "not readable as JSON"),
-        (fields(format=99), "format = 99: must be 1"),
+        (fields(format=99), "format = 99: must be 2"),
         (fields(seed="0"), "seed = '0': must be a whole number"),
         (fields(policy=None), "policy = None: must be a text"),
         (fields(scenario={"name": "x", "road": {"num_lanes": 99}}), r"road.num_lanes = 99"),
@@ -32,3 +32,9 @@ def test_it_comes_back():
 def test_other_metadata_is_refused(text, message):
     with pytest.raises(TrajectoryError, match=message):
         Metadata.loads(text)
+
+
+@pytest.mark.parametrize("name", ["format", "seed", "policy", "scenario"])
+def test_a_large_value_is_shown_short(name):
+    with pytest.raises(TrajectoryError, match=rf"^metadata: {name} = .{{1,80}}: must be"):
+        Metadata.loads(fields(**{name: ["x"] * 10**5}))
