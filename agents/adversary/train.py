@@ -10,6 +10,7 @@ take turns, K times; the changer learns against all followers so far.
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import ceil
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -18,14 +19,15 @@ import torch
 from pydantic import Field, field_validator
 from tqdm import tqdm
 
-from marl_lanes import LaneChangeEnv, Scenario, ScenarioError, load_scenario
+from marl_lanes import LaneChangeEnv, Scenario, load_scenario
 from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
-from marl_lanes.evaluation.driving import Policy
+from marl_lanes.evaluation.driving import Policy, check_first_command
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.recording import record_maneuvers
 from marl_lanes.evaluation.rollout import check_episodes
 from marl_lanes.evaluation.tables import format_crossplay
+from marl_lanes.extras import need
 from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy
 from marl_lanes.scenario.fields import NonNegative
@@ -34,7 +36,8 @@ from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.naf import NAF, NAFConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
-from marl_lanes.training.command_line import read_command_line
+from marl_lanes.training.collected import load_collected
+from marl_lanes.training.command_line import read_command_line, refusing
 from marl_lanes.training.config import (
     CONFIG_FILE,
     ConfigError,
@@ -45,6 +48,7 @@ from marl_lanes.training.config import (
     read_config,
     write_config,
 )
+from marl_lanes.training.failures import ending
 from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.run_folder import (
     FINAL_MODEL,
@@ -52,6 +56,8 @@ from marl_lanes.training.run_folder import (
     TIMES_FILE,
     check_empty,
 )
+from marl_lanes.training.sizes import check_networks, check_sizes
+from marl_lanes.training.terminal import lenient_streams
 from marl_lanes.training.transitions import LivePolicy
 
 MODEL = f"checkpoints/{FINAL_MODEL}"
@@ -117,15 +123,14 @@ class AdversaryConfig(ProgramConfig):
         return shares
 
 
+@lenient_streams()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, evaluate, report."""
-    try:
+    with refusing():
         config = read(arguments)
-        torch.set_num_threads(config.num_threads)
         run = Run(config)
+    with ending(run.output):
         result = run.take_turns() if config.rounds else run.train_one_follower()
-    except (ConfigError, ScenarioError, CheckpointError, OSError) as error:
-        sys.exit(f"error: {error}")
     if result is None:
         print(f"interrupted; continue with resume={config.output}")
         return
@@ -150,15 +155,30 @@ class Run:
         self.output = Path(config.output)
         self.device = torch.device(config.device)
         self.changer = Path(config.changer)
-        objective = {"followers": {"learned": {"objective": config.objective}}}
-        self.scenario = load_scenario(config.scenario, objective)
-        check_episodes(self.scenario)
-        self.training_scenario = load_scenario(self.scenario, config.training_overrides)
-        if self.training_scenario.command.probability == 0.0:
-            raise ConfigError("training_overrides: command.probability = 0: must be above 0")
-        load_checkpoint(self.changer, self.scenario)
         if config.resume is None:
             check_empty(self.output)
+        objective = {"followers": {"learned": {"objective": config.objective}}}
+        self.scenario = load_scenario(config.scenario, objective)
+        num_commands = check_episodes(self.scenario)
+        self.training_scenario = load_collected(self.scenario, config.training_overrides)
+        widths, num_features = config.follower.hidden_sizes, len(FOLLOWER.seen(self.scenario))
+        name = "follower.hidden_sizes"
+        check_networks(config.follower, name, widths, num_features, "follower.")
+        parts: dict[str, ChangerConfig] = {"follower": config.follower}
+        if config.rounds:
+            parts["hardening"] = config.hardening
+        for name, part in parts.items():
+            check_sizes(part, self.training_scenario, self.scenario, f"{name}.")
+        try:
+            load_checkpoint(self.changer, self.scenario)
+        except CheckpointError as error:
+            raise ConfigError(f"changer = {config.changer!r}: {error}") from None
+        torch.set_num_threads(config.num_threads)
+        for part in parts.values():
+            if part.evaluation.record:
+                need("pyarrow", "view")
+            num_roads = ceil(part.evaluation.num_maneuvers / num_commands)
+            check_first_command(self.scenario, num_roads, part.evaluation.saved_models_seed)
 
     def train_one_follower(self) -> dict[str, Any] | None:
         """A follower, and its comparison with the scripted ones; None when interrupted."""
@@ -275,9 +295,10 @@ class Run:
         if not (self.output / CONFIG_FILE).exists():
             write_config(self.output / CONFIG_FILE, self.config)
         print(f"{folder}:", file=sys.stderr)
-        is_complete = learner.train(evaluate_model)
-        learner.close()
-        return is_complete
+        try:
+            return learner.train(evaluate_model)
+        finally:
+            learner.close()
 
     def _seed(self, phase: int) -> int:
         """Seed torch for the phase, whatever was drawn before it; also the seed of its traffic."""

@@ -12,12 +12,19 @@ from torchrl.modules import ValueOperator
 from torchrl.objectives import SoftUpdate, TD3Loss
 
 from marl_lanes.envs.batched import LaneChangeEnv
-from marl_lanes.scenario.fields import NonNegative, Positive, Real, Section
+from marl_lanes.scenario.fields import Real, Section
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork, CriticNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.exploration import NoisyActor
-from marl_lanes.training.config import LearnerConfig, Number, OptimizerConfig, Widths
+from marl_lanes.training.config import (
+    LearnerConfig,
+    Magnitude,
+    Number,
+    OptimizerConfig,
+    Sigma,
+    Widths,
+)
 from marl_lanes.training.transitions import CPU
 
 NUM_CRITICS = 2
@@ -32,13 +39,11 @@ class TD3LossConfig(Section):
     distance: Literal["l1", "l2", "smooth_l1"] = Field(
         description="of the critics from their target: l1, l2 or smooth_l1"
     )
-    target_noise: NonNegative = Field(
+    target_noise: Sigma = Field(
         description="standard deviation of the noise on the target actor's action, of each half "
         "range [1]"
     )
-    target_noise_bound: NonNegative = Field(
-        description="to which it is clipped, of each half range [1]"
-    )
+    target_noise_bound: Sigma = Field(description="to which it is clipped, of each half range [1]")
     actor_interval: Number = Field(
         description="updates of the critics for one of the actor and of the targets"
     )
@@ -47,7 +52,7 @@ class TD3LossConfig(Section):
 class TD3OptimizerConfig(OptimizerConfig):
     """Adam for the critics, and for the actor."""
 
-    actor_learning_rate: Positive = Field(description="step size of the actor")
+    actor_learning_rate: Magnitude = Field(description="step size of the actor")
 
 
 class TD3NetworkConfig(Section):
