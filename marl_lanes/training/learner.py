@@ -42,6 +42,7 @@ from marl_lanes.training.run_folder import (
     check_empty,
 )
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
+from marl_lanes.training.torch_settings import training_settings
 from marl_lanes.training.transitions import finished_maneuvers, live_transitions
 
 ROWS_AT_ONCE = 32_768
@@ -306,6 +307,7 @@ class Learner:
         interval = self.config.evaluation.save_interval
         criterion = self.config.evaluation.criterion
         with (
+            training_settings(self.algorithm.device),
             note_interruptions() as interrupted,
             tqdm(
                 total=total, initial=self.transitions, unit="tr", unit_scale=True, desc="training"

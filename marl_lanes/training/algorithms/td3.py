@@ -125,6 +125,8 @@ class TD3(Algorithm):
             loss_function=config.loss.distance,
         )
         self.loss.make_value_estimator(gamma=config.loss.gamma, device=device)
+        # Its gamma has torch's default dtype, which may be another than that of the networks.
+        self.loss.value_estimator.to(box.low.dtype)
         self.target_updater = SoftUpdate(self.loss, tau=config.loss.tau)
         self.critic_parameters = _parameters(self.loss.qvalue_network_params)
         self.actor_parameters = _parameters(self.loss.actor_network_params)
