@@ -20,6 +20,7 @@ from marl_lanes.naf.lateral import TUNED_CASCADE, CascadeGains, steer_by_cascade
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.simulator import bytes_of_road
 from marl_lanes.training.command_line import Parser, refusing
 from marl_lanes.training.terminal import lenient_streams
 
@@ -76,12 +77,12 @@ class Roads:
         self.population, self.roads = population, roads
         self.seconds, self.num_steps = seconds, round(seconds / scenario.time_step)
         self.seed = seed
-        each = Simulator(scenario).bytes_per_environment
-        check_memory("--population", population, each * population * roads)
+        check_memory("--population", population, bytes_of_road(scenario) * population * roads)
         self.simulator = Simulator(
             scenario,
             population * roads,
             overrides={"num_agents": None, "horizon": None, "command": {"probability": 1.0}},
+            seed=seed,
         )
 
     def drive(self, gains: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -2,10 +2,9 @@
 
 import argparse
 
-import yaml
-
 from marl_lanes.cli.arguments import Commands
 from marl_lanes.scenario import list_scenarios, load_scenario
+from marl_lanes.scenario.yaml_files import format_yaml
 
 
 def add(commands: Commands) -> None:
@@ -20,7 +19,7 @@ def add(commands: Commands) -> None:
 def _show_scenarios(options: argparse.Namespace) -> None:
     if options.scenario is not None:
         scenario = load_scenario(options.scenario)
-        print(yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False), end="")
+        print(format_yaml(scenario.model_dump(mode="json")), end="")
         return
     for name in list_scenarios():
         print(f"{name:12} {load_scenario(name).description}")

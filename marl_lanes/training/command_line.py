@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
-import yaml
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel
 
+from marl_lanes.scenario.yaml_files import format_yaml
 from marl_lanes.training.config import ConfigError, ProgramConfig
 from marl_lanes.training.overrides import check_overrides
 
@@ -97,7 +97,7 @@ def read_command_line(
     options = parser.parse_intermixed_args(arguments)
     fields = compose_fields(kind, folder, options.overrides, choices, file=file)
     if options.cfg is not None:
-        sys.stdout.write(yaml.safe_dump(fields, sort_keys=False))
+        sys.stdout.write(format_yaml(fields))
         sys.exit(0)
     return fields
 

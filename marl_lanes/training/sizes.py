@@ -8,7 +8,7 @@ from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
-from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.traffic.simulator import bytes_of_road
 from marl_lanes.training.config import ChangersConfig, LearnerConfig
 
 FLAGS = 32
@@ -81,16 +81,15 @@ def _estimates(
 ) -> Iterator[tuple[str, int, float]]:
     """Name, value, and bytes for each one of it."""
     collector, replay, evaluation = config.collector, config.replay, config.evaluation
-    road = Simulator(collected).bytes_per_environment
     row = 4 * (2 * _num_columns(collected) + len(CHANGER.act(collected))) + FLAGS
-    yield "collector.num_envs", collector.num_envs, road
+    yield "collector.num_envs", collector.num_envs, bytes_of_road(collected)
     # The batch, and the steps that it is stacked from.
     steps = 2.0 * collector.num_envs * collected.num_slots * row
     yield "collector.steps_per_batch", collector.steps_per_batch, steps
     if replay.storage == "memory":
         yield "replay.capacity", replay.capacity, row * (1.0 + replay.rare_share)
     yield "replay.batch_size", replay.batch_size, row
-    driven = Simulator(evaluated).bytes_per_environment / (evaluated.num_agents or 1)
+    driven = bytes_of_road(evaluated) / (evaluated.num_agents or 1)
     for name in ("num_maneuvers", "final_num_maneuvers"):
         yield f"evaluation.{name}", getattr(evaluation, name), driven + RECORDED
     if isinstance(config, ChangersConfig) and config.collector.kind == "multi":
