@@ -19,10 +19,12 @@ from marl_lanes.files import write_text
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
 from marl_lanes.report.conclusion import conclude
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario.followers import LEARNED
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.collected import load_collected
-from marl_lanes.training.config import ChangersConfig, write_config
+from marl_lanes.training.config import ChangersConfig, ConfigError
 from marl_lanes.training.failures import ending
+from marl_lanes.training.inputs import LEARNED_FILE, check_inputs, keep_inputs, read_scenario
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import COMMAND_FILE, check_empty
 from marl_lanes.training.sizes import check_sizes
@@ -38,7 +40,7 @@ learns and acts. Torch's generator is seeded before."""
 def start(
     config: ChangersConfig, make_algorithm: MakeAlgorithm, command: str
 ) -> tuple[Learner, Scenario]:
-    """Begin a new run, or resume one. After an error no file is left behind.
+    """Begin a new run, or resume one from its folder alone. After an error no file is left behind.
 
     Args:
         config: of the run.
@@ -48,13 +50,17 @@ def start(
     Raises:
         ConfigError, ScenarioError, CheckpointError, MissingExtraError: the run cannot be made.
     """
-    scenario = load_scenario(config.scenario)
+    folder = Path(config.output)
+    is_new = config.resume is None
+    scenario = load_scenario(config.scenario) if is_new else read_scenario(folder)
     num_commands = check_episodes(scenario)
     collected = load_collected(scenario, config.training_overrides)
     check_sizes(config, collected, scenario)
-    folder = Path(config.output)
-    if config.resume is None:
+    files = _find_files(scenario, collected)
+    if is_new:
         check_empty(folder)
+    else:
+        check_inputs(folder, files)
     if config.evaluation.record:
         for package in ("pygame", "imageio_ffmpeg"):
             need(package, "view")
@@ -75,17 +81,32 @@ def start(
         algorithm,
         make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
     )
+
+    def keep() -> None:
+        write_text(folder / COMMAND_FILE, f"{command}\n")
+        keep_inputs(folder, config, scenario, files)
+
     try:
-        if config.resume is not None:
-            learner.resume(folder)
+        if is_new:
+            learner.begin(folder, keep)
         else:
-            learner.begin(folder)
-            write_config(learner.run.config, config)
-            write_text(learner.run.path / COMMAND_FILE, f"{command}\n")
+            learner.resume(folder)
     except BaseException:
         learner.collector.shutdown()
         raise
-    return learner, scenario
+    return learner, read_scenario(folder)
+
+
+def _find_files(scenario: Scenario, training_scenario: Scenario) -> dict[str, Path]:
+    """The files that a run reads besides its scenario, by the names of their copies."""
+    checkpoint = scenario.followers.learned.checkpoint
+    if training_scenario.followers.learned.checkpoint != checkpoint:
+        raise ConfigError(
+            "training_overrides: followers.learned.checkpoint: must be set in the scenario"
+        )
+    mixes = (scenario.followers.external_names, training_scenario.followers.external_names)
+    is_read = checkpoint is not None and any(LEARNED in names for names in mixes)
+    return {LEARNED_FILE: Path(str(checkpoint))} if is_read else {}
 
 
 def run(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:

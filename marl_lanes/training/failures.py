@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_lanes.naf.checkpoint import CheckpointError
+from marl_lanes.rendering.encoding import FilmError
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.collectors import WorkerError
@@ -156,7 +157,7 @@ def ending(folder: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (WorkerError, OSError) as error:
+    except (WorkerError, OSError, FilmError) as error:
         sys.exit(
             f"error: {_in_one_line(error)}; continue from the last training state: resume={folder}"
         )
