@@ -6,6 +6,7 @@ import yaml
 
 from marl_lanes.cli.arguments import Commands
 from marl_lanes.scenario import list_scenarios, load_scenario
+from marl_lanes.terminal import say
 
 
 def add(commands: Commands) -> None:
@@ -20,7 +21,7 @@ def add(commands: Commands) -> None:
 def _show_scenarios(options: argparse.Namespace) -> None:
     if options.scenario is not None:
         scenario = load_scenario(options.scenario)
-        print(yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False), end="")
+        say(yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False).rstrip("\n"))
         return
-    for name in list_scenarios():
-        print(f"{name:12} {load_scenario(name).description}")
+    lines = [f"{name:12} {load_scenario(name).description}" for name in list_scenarios()]
+    say("\n".join(lines))
