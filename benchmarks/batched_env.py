@@ -8,7 +8,6 @@ is the simulator's time per vehicle-step. Separate rounds compare it over the nu
 over the numbers of vehicles.
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -30,6 +29,7 @@ from turns import (
 
 from marl_lanes import LaneChangeEnv, Simulator
 from marl_lanes.files import write_json
+from marl_lanes.traffic.machine.threads import count_processors
 
 SECONDS = 0.4
 """[s] Length of a turn."""
@@ -59,7 +59,7 @@ def make_limit(num_envs: int, num_vehicles: int, num_threads: int, length: float
 
 def make_simulator(num_envs: int, num_threads: int, overrides: Mapping[str, Any]) -> Contestant:
     """The simulator, on which both environments are built."""
-    simulator = Simulator("paper", num_envs, num_threads=num_threads, overrides=overrides)
+    simulator = Simulator("paper", num_envs, num_threads=num_threads, overrides=overrides, seed=0)
     simulator.reset()
     return _steps(simulator.step, lambda: int(simulator.roads["num_vehicles"].sum()), num_envs)
 
@@ -79,6 +79,7 @@ def make_env(
         num_threads=num_threads,
         overrides=overrides,
         learned_followers=learned_followers,
+        seed=0,
     )
     data = env.reset()
     data.update(env.full_action_spec.zero())
@@ -136,7 +137,7 @@ def main() -> None:
     figures: dict[str, object] = {"rounds": options.rounds}
     kept: dict[int, dict[str, list[Rate]]] = {}
     print(f"{'million vehicle-steps/s':26}{'limit':>12}{'simulator':>12}{'env':>12}{'cost':>10} ns")
-    for num_threads in range(1, min(2, os.cpu_count() or 1) + 1):
+    for num_threads in range(1, min(2, count_processors()) + 1):
         for num_envs in ENVS:
             if num_envs < num_threads:
                 continue
@@ -184,7 +185,7 @@ def print_targets(
     if is_installed("libsumo"):
         contestants = {
             "libsumo": make_sumo()[0],
-            "simulator": make_simulator(1024, os.cpu_count() or 1, ENDLESS),
+            "simulator": make_simulator(1024, count_processors(), ENDLESS),
         }
         rates = take_turns(contestants, rounds, SECONDS)
         factor = median_ratio(rates["simulator"], rates["libsumo"], "vehicle_steps")

@@ -191,7 +191,7 @@ def make_learner(
             },
         },
     )
-    env = LaneChangeEnv("paper")
+    env = LaneChangeEnv("paper", seed=0)
     learner = Learner(config, env, NAF(config, env, network))
     # A training makes it when it begins, in its run folder; one in memory needs none.
     learner.replay = Replay(config.replay, Path("unused"), 0)

@@ -51,7 +51,7 @@ class Rate(NamedTuple):
 
 def make_ours(size: tuple[int, int]) -> Contestant:
     """An ordinary user loop, with actions of zero."""
-    env = parallel_env("paper", "rgb_array", overrides=TRAFFIC, view={"size": size})
+    env = parallel_env("paper", "rgb_array", overrides=TRAFFIC, view={"size": size}, seed=0)
     zero = np.zeros(1, np.float32)
     env.reset(seed=0)
 

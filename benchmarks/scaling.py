@@ -61,6 +61,7 @@ def make_learner(
         config.collector.num_envs // num_workers,
         overrides=config.training_overrides,
         num_threads=1,
+        seed=0,
     )
     network = make_network(env.scenario, config.network.mu, config.network.hidden_sizes)
     learner = Learner(config, env, NAF(config, env, network), make_collector=make_collector)

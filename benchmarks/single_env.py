@@ -34,7 +34,7 @@ VMAS_AGENTS = 20
 
 def make_pettingzoo() -> Contestant:
     """An ordinary user loop, with actions of zero."""
-    env = parallel_env("paper")
+    env = parallel_env("paper", seed=0)
     zero = np.zeros(1, np.float32)
     roads = env.simulator.roads
     env.reset(seed=0)
@@ -55,7 +55,7 @@ def make_pettingzoo() -> Contestant:
 
 def measure_traffic() -> int:
     """Mean number of vehicles on the paper's road, rounded."""
-    simulator = Simulator("paper", 64, overrides={"num_agents": None, "horizon": None})
+    simulator = Simulator("paper", 64, overrides={"num_agents": None, "horizon": None}, seed=0)
     simulator.reset()
     counts = []
     for _ in range(200):

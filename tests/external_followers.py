@@ -31,7 +31,11 @@ def driven(policy, scenario="dense", num_envs=4, *, guarded=True, **overrides):
     """Roads on which the policy drives all followers."""
     followers = mixed("mine", external={"is_guarded": guarded})
     simulator = Simulator(
-        scenario, num_envs, overrides={**followers, **overrides}, follower_policies={"mine": policy}
+        scenario,
+        num_envs,
+        overrides={**followers, **overrides},
+        follower_policies={"mine": policy},
+        seed=0,
     )
     simulator.reset()
     return simulator
@@ -79,6 +83,7 @@ def pair_of(*, gap=30.0, speeds=(20.0, 20.0), lateral=5.625, guard=OPEN_GAP, com
                 "learned": {"adversarial": WEIGHTS},
             },
         },
+        seed=0,
     )
     simulator.reset()
     driver = {"lane": 2, "position": 100.0, "speed": speeds[0], "disposition": EXTERNAL}

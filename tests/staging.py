@@ -46,7 +46,7 @@ def rows_of(table):
 
 def simulator_of(**overrides):
     """A simulator of the paper's scenario with an empty road."""
-    simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], **overrides})
+    simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], **overrides}, seed=0)
     simulator.reset()
     return simulator
 
@@ -104,7 +104,7 @@ def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
 def one_arc(radius, **overrides):
     """A simulator of a road that is one arc of 900 m."""
     arcs = [{"start": 0.0, "end": 900.0, "radius": radius, "transition": 0.0}]
-    return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides})
+    return Simulator("paper", overrides={"road": {"arcs": arcs}, **overrides}, seed=0)
 
 
 def place(simulator, **values):

@@ -75,6 +75,7 @@ class Roads:
             scenario,
             population * roads,
             overrides={"num_agents": None, "horizon": None, "command": {"probability": 1.0}},
+            seed=seed,
         )
 
     def drive(self, gains: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

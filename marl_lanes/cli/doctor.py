@@ -148,10 +148,9 @@ def _check_imports() -> Iterator[Finding]:
 def _check_processors() -> Iterator[Finding]:
     from torch import get_num_threads
 
-    usable = os.cpu_count() or 1
-    if hasattr(os, "sched_getaffinity"):
-        usable = len(os.sched_getaffinity(0))
-    threads = get_num_threads()
+    from marl_lanes.traffic.machine.threads import count_processors
+
+    usable, threads = count_processors(), get_num_threads()
     found = f"{usable} usable of {os.cpu_count()}, {threads} threads of torch"
     advice = f"more threads than processors are slow: set OMP_NUM_THREADS={usable}"
     yield Finding("processors", found, advice if threads > usable else None)

@@ -1,8 +1,10 @@
 """The TorchRL environment: E roads that advance together, their agents in reusable slots."""
 
+import os
+import sys
 import time
 from collections.abc import Callable, Mapping
-from functools import wraps
+from functools import cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,26 +17,43 @@ from torchrl.envs import EnvBase
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.envs.tensordict_internals import make_tensordict
+from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario.messages import shown
+from marl_lanes.traffic.arguments import check_flag, check_whole
 from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.readout import Columns, read_changers, read_followers
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.roles.role import Bounds
-from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.traffic.simulator import Simulator, bytes_of_road
 
 if TYPE_CHECKING:
     from marl_lanes.envs.rendering import Renderer, View
 
 _ENDS = ("done", "terminated", "truncated")
 _CPU = torch.device("cpu")
+_BYTES_OF_SLOT = 32
+"""Of an agent's masks, ends, rewards and outcome."""
+
+_PROCESS = os.getpid()
+"""The process that imported this module: another one was forked from it."""
+
+
+@cache
+def _prepare_torch(process: int) -> None:
+    """In a forked process torch's threads are gone: it would wait for them for ever."""
+    if process != _PROCESS:
+        torch.set_num_threads(1)
 
 
 def _timed(method: Callable[..., TensorDict]) -> Callable[..., TensorDict]:
-    """Add the wall time of each call to the environment's ``seconds``."""
+    """Add the wall time of each call to the environment's ``seconds``; works after a fork."""
 
     @wraps(method)
     def timed(self: Any, *args: Any, **kwargs: Any) -> TensorDict:
+        _prepare_torch(os.getpid())
         start = time.perf_counter()
         result = method(self, *args, **kwargs)
         self.seconds += time.perf_counter() - start
@@ -71,13 +90,18 @@ class LaneChangeEnv(EnvBase):
     The root's ``done`` (E, 1) is the end of a road's episode: all ``num_agents`` commands of the
     scenario are finished (terminated), or the horizon is reached (truncated). With
     ``num_agents: null`` and ``horizon: null`` an episode never ends. With the same scenario, seed
-    and actions, road 0 has the same trajectory as the PettingZoo environment.
+    and actions, road 0 has the same trajectory as the PettingZoo environment, whose ``reset`` skips
+    the episodes that end before the first command; here they are driven, with an empty ``mask``.
+
+    Use it from one thread at a time. ``make`` functions without a seed make environments that
+    differ, also in workers; a copy (pickle, deepcopy) goes on with the same random numbers.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
         num_envs: E, >= 1.
         device: where the tensors are; the traffic stays on the CPU.
-        seed: of the random numbers.
+        seed: of the random numbers, 0 to 2^64 - 1. None: drawn from the system's entropy, as by
+            ``set_seed(None)``.
         num_threads: as for ``Simulator``.
         overrides: scenario fields to replace, as in ``load_scenario``.
         learned_followers: add the group ``followers`` for the drivers with the disposition
@@ -91,12 +115,14 @@ class LaneChangeEnv(EnvBase):
 
     Attributes:
         seconds: wall time of its steps and resets so far, without TorchRL's work around them.
+        initial_seed: the seed with which the present random numbers began, given or drawn.
 
     Raises:
         ScenarioError: the scenario is invalid, or a follower of its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
         MissingExtraError: render_mode needs the extra ``view``, which is not installed.
-        ValueError: another argument is out of range.
+        ValueError: another argument has a wrong type, is out of range, or needs more memory than
+            there is.
     """
 
     seconds = 0.0
@@ -107,7 +133,7 @@ class LaneChangeEnv(EnvBase):
         num_envs: int = 1,
         *,
         device: torch.device | str | None = "cpu",
-        seed: int = 0,
+        seed: int | None = None,
         num_threads: int | None = None,
         overrides: Mapping[str, Any] | None = None,
         learned_followers: bool = False,
@@ -117,8 +143,12 @@ class LaneChangeEnv(EnvBase):
         view: "View" = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode = {render_mode!r}: must be None or 'rgb_array'")
+            raise ValueError(f"render_mode = {shown(render_mode)}: must be None or 'rgb_array'")
+        chosen_device = None if device is None else _check_device(device)
         loaded = load_scenario(scenario, overrides)
+        learned_followers = check_flag("learned_followers", learned_followers)
+        num_envs = check_whole("num_envs", num_envs, 1, sys.maxsize)
+        check_memory("num_envs", num_envs, num_envs * _bytes_of_road(loaded, learned_followers))
         self.simulator = Simulator(
             loaded,
             num_envs,
@@ -130,7 +160,7 @@ class LaneChangeEnv(EnvBase):
             ),
             first_road=first_road,
         )
-        super().__init__(device=device, batch_size=torch.Size([num_envs]))
+        super().__init__(device=chosen_device, batch_size=torch.Size([num_envs]))
         self.scenario = self.simulator.scenario
         self.roles = self.simulator.roles
         self.group_map = {
@@ -145,6 +175,11 @@ class LaneChangeEnv(EnvBase):
             self._find_renderer(0)
         self._make_specs()
 
+    @property
+    def initial_seed(self) -> int:
+        """The seed with which the present random numbers began, given or drawn."""
+        return self.simulator.initial_seed
+
     def restore(self, snapshot: bytes) -> None:
         """Continue from ``simulator.snapshot()`` of an equal environment.
 
@@ -152,7 +187,7 @@ class LaneChangeEnv(EnvBase):
         when it is built: call its ``reset`` after this.
 
         Raises:
-            ValueError: the snapshot has another size; nothing is changed.
+            ValueError: as for ``Simulator.restore``; nothing is changed.
         """
         self.simulator.restore(snapshot)
         self._is_restored = True
@@ -191,9 +226,9 @@ class LaneChangeEnv(EnvBase):
     def _make_specs(self) -> None:
         num_envs, num_slots = self.simulator.num_envs, self.simulator.num_slots
         group = (num_envs, num_slots)
-        flag = Binary(1, shape=(*group, 1), dtype=torch.bool)
-        mask = Binary(num_slots, shape=group, dtype=torch.bool)
-        total = Unbounded((*group, 1))
+        flag = Binary(1, shape=(*group, 1), dtype=torch.bool, device=_CPU)
+        mask = Binary(num_slots, shape=group, dtype=torch.bool, device=_CPU)
+        total = Unbounded((*group, 1), dtype=torch.float32, device=_CPU)
         seen: dict[str, dict[str, Any]] = {
             role.group: {
                 "observation": self._bounded(role.observation_bounds(self.scenario)),
@@ -206,7 +241,7 @@ class LaneChangeEnv(EnvBase):
         seen[CHANGER.group] |= {
             "steering": mask.clone(),
             "aborting": mask.clone(),
-            "outcome": Bounded(0, max(Outcome), group, dtype=torch.int64),
+            "outcome": Bounded(0, max(Outcome), group, dtype=torch.int64, device=_CPU),
         }
         self.observation_spec = self._grouped(seen)
         self.action_spec = self._grouped(
@@ -218,7 +253,7 @@ class LaneChangeEnv(EnvBase):
         self.reward_spec = self._grouped(
             {role.group: {"reward": total.clone()} for role in self.roles}
         )
-        done = Binary(1, shape=(num_envs, 1), dtype=torch.bool)
+        done = Binary(1, shape=(num_envs, 1), dtype=torch.bool, device=_CPU)
         self.done_spec = Composite(
             {
                 **{
@@ -236,7 +271,7 @@ class LaneChangeEnv(EnvBase):
         """The spec of (E, A, n) with two vectors (n,) as bounds."""
         shape = (self.simulator.num_envs, self.simulator.num_slots, len(bounds[0]))
         low, high = (torch.from_numpy(bound).expand(shape) for bound in bounds)
-        return Bounded(low, high, shape, dtype=torch.float32)
+        return Bounded(low, high, shape, dtype=torch.float32, device=_CPU)
 
     def _grouped(self, groups: Mapping[str, Mapping[str, Any]]) -> Composite:
         shape = (self.simulator.num_envs, self.simulator.num_slots)
@@ -261,14 +296,13 @@ class LaneChangeEnv(EnvBase):
 
     @_timed
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        if self._is_restored:
-            self._is_restored = False
         simulator = self.simulator
+        actions = [_read_actions(tensordict, role.group) for role in self.roles]
         for renderer in self._renderers.values():
             renderer.note()
-        simulator.step(
-            *(tensordict[role.group, "action"].detach().cpu().numpy() for role in self.roles)
-        )
+        simulator.step(*actions)
+        if self._is_restored:
+            self._is_restored = False
         groups = self._read_out()
         done = simulator.roads["is_done"].astype(np.bool_)
         is_cut = simulator.roads["is_cut"].astype(np.bool_)
@@ -321,4 +355,38 @@ class LaneChangeEnv(EnvBase):
         return tensordict.to(device) if is_elsewhere else tensordict
 
     def _set_seed(self, seed: int | None) -> None:
-        self.simulator.seed(0 if seed is None else seed)
+        self.simulator.seed(seed)
+
+
+def _check_device(device: torch.device | str) -> torch.device:
+    """The device, if tensors can be moved to it."""
+    try:
+        chosen = torch.device(device)
+        torch.zeros(1, device=_CPU).to(chosen).cpu()
+    except (AssertionError, RuntimeError, TypeError) as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(
+            f"device = {shown(device)}: must be cpu, or a device that is here: {reason}"
+        ) from None
+    return chosen
+
+
+def _bytes_of_road(scenario: Scenario, has_followers: bool) -> int:
+    """Memory of one road [bytes]: its state, the bounds in the specs, and the tensors of a step."""
+    slots = scenario.num_slots
+    tensors = 0
+    for role in (CHANGER, FOLLOWER) if has_followers else (CHANGER,):
+        numbers = len(role.seen(scenario)) + len(role.act(scenario))
+        tensors += slots * (4 * numbers + _BYTES_OF_SLOT)
+    # Two bounds in the specs, two tensordicts for a step: before it and after it.
+    return bytes_of_road(scenario) + 4 * tensors
+
+
+def _read_actions(tensordict: TensorDictBase, group: str) -> NDArray[Any]:
+    """The group's actions, in the memory of this computer."""
+    action = tensordict.get((group, "action"), None)
+    if not isinstance(action, torch.Tensor):
+        raise ValueError(f"action of the group {group!r}: must be given")
+    if action.dtype is torch.bfloat16:
+        action = action.float()
+    return action.detach().cpu().numpy()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from marl_lanes.envs.fit import check_fit
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.traffic.arguments import check_functions
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 
@@ -33,7 +34,9 @@ def find_policies(
     Raises:
         CheckpointError: ``followers.learned.checkpoint`` cannot be read, or does not fit the
             followers of this scenario.
+        ValueError: ``given`` is no mapping of names to functions.
     """
+    check_functions("follower_policies", given)
     policies = dict(given or {})
     checkpoint = scenario.followers.learned.checkpoint
     is_wanted = LEARNED in scenario.followers.external_names and LEARNED not in policies

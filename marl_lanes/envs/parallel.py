@@ -15,6 +15,8 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_table
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.scenario.messages import shown
+from marl_lanes.traffic.arguments import check_flag, read_numbers
 from marl_lanes.traffic.machine.state import Outcome, Phase, truncates
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
@@ -37,10 +39,14 @@ _ABSENT = int(Phase.ABSENT)
 _UNFINISHED = int(Outcome.UNFINISHED)
 
 
+MAX_SKIPPED = 1000
+"""Episodes without a command that a reset skips before it gives up."""
+
+
 class Options(TypedDict, total=False):
     """The keyword arguments of ``LaneChangeParallelEnv``, which documents them."""
 
-    seed: int
+    seed: int | None
     fixed_agents: bool
     overrides: Mapping[str, Any] | None
     learned_followers: bool
@@ -61,7 +67,8 @@ class LaneChangeParallelEnv(ParallelEnv):
     """Lane changes as a PettingZoo parallel environment.
 
     An episode ends when the ``num_agents`` commands of the scenario are finished, or at its
-    horizon. ``changer_k`` is the vehicle of the k-th command, from the command to its outcome; each
+    horizon. Episodes that end before the first command are skipped by ``reset``, so each has an
+    agent. ``changer_k`` is the vehicle of the k-th command, from the command to its outcome; each
     name is used once per episode. While no agent is live, reset and step advance the traffic, so
     ``agents`` is empty only at the end of the episode.
 
@@ -81,8 +88,8 @@ class LaneChangeParallelEnv(ParallelEnv):
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
         render_mode: None; "rgb_array": ``render`` returns a picture; "human": reset and step show
             the road in a window, at ``render_fps``, also the time in which no agent is live.
-        seed: of the random numbers, until ``reset(seed=...)`` sets another; a reset without a seed
-            continues the stream.
+        seed: of the random numbers, 0 to 2^64 - 1, until ``reset(seed=...)`` sets another; a reset
+            without a seed continues the stream. None: drawn from the system's entropy.
         fixed_agents: every dict contains all possible agents, absent ones with zeros, as TorchRL's
             PettingZooWrapper needs it; ``agents`` still lists only the live ones.
         overrides: scenario fields to replace, as in ``load_scenario``.
@@ -95,13 +102,15 @@ class LaneChangeParallelEnv(ParallelEnv):
 
     Attributes:
         metadata: PettingZoo's; ``render_fps`` is the number of time steps in a second.
+        initial_seed: the seed with which the present random numbers began, given or drawn.
 
     Raises:
         ScenarioError: the scenario is invalid, has no end (``num_agents: null``), or a follower of
             its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
         MissingExtraError: render_mode needs the extra ``view``, which is not installed.
-        ValueError: another argument is out of range.
+        ValueError: another argument has a wrong type, is out of range, or needs more memory than
+            there is.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads it off the class
@@ -116,7 +125,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
         render_mode: str | None = None,
         *,
-        seed: int = 0,
+        seed: int | None = None,
         fixed_agents: bool = False,
         overrides: Mapping[str, Any] | None = None,
         learned_followers: bool = False,
@@ -125,7 +134,8 @@ class LaneChangeParallelEnv(ParallelEnv):
     ) -> None:
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
-            raise ValueError(f"render_mode = {render_mode!r}: must be None or one of {modes}")
+            raise ValueError(f"render_mode = {shown(render_mode)}: must be None or one of {modes}")
+        learned_followers = check_flag("learned_followers", learned_followers)
         loaded = load_scenario(scenario, overrides)
         self.simulator = Simulator(
             loaded,
@@ -146,7 +156,7 @@ class LaneChangeParallelEnv(ParallelEnv):
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": 1.0 / self.scenario.time_step}
         self._renderer = self._make_renderer(view)
-        self.fixed_agents = fixed_agents
+        self.fixed_agents = check_flag("fixed_agents", fixed_agents)
         self.agents: list[str] = []
         self._names = {
             role.name: [f"{role.name}_{k}" for k in range(self.scenario.num_agents)]
@@ -191,6 +201,11 @@ class LaneChangeParallelEnv(ParallelEnv):
         self.__dict__.update(state)
         self._view()
 
+    @property
+    def initial_seed(self) -> int:
+        """The seed with which the present random numbers began, given or drawn."""
+        return self.simulator.initial_seed
+
     def observation_space(self, agent: str) -> Box:
         """The same space object at every call."""
         return self.observation_spaces[agent]
@@ -206,22 +221,23 @@ class LaneChangeParallelEnv(ParallelEnv):
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, float]]]:
         """Start an episode: warm up the traffic and advance to the first command.
 
+        Episodes that end before the first command are skipped, MAX_SKIPPED at most.
+
         Args:
             seed: 0 to 2^64 - 1; None continues the stream of the last seed.
             options: not used.
 
         Raises:
             DisplayError: render_mode is "human", and there is no display.
+            ScenarioError: no command came in MAX_SKIPPED episodes, because of the scenario's
+                horizon.
             ValueError: the seed is out of range.
         """
         if self._renderer is not None:
             self._renderer.open()
         if seed is not None:
             self.simulator.seed(seed)
-        self.simulator.reset()
-        if self._renderer is not None:
-            self._renderer.restart()
-        self._advance_until_live()
+        self._begin()
         self._finished.clear()
         self._slots = {}
         result = self._absent()
@@ -242,6 +258,8 @@ class LaneChangeParallelEnv(ParallelEnv):
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"actions = {shown(actions)}: must be a mapping of agents to actions")
         values = [self._read_action(agent, actions) for agent in self.agents]
         simulator = self.simulator
         for agent, value in zip(self.agents, values, strict=True):
@@ -293,6 +311,21 @@ class LaneChangeParallelEnv(ParallelEnv):
         if self._renderer is not None:
             self._renderer.close()
 
+    def _begin(self) -> None:
+        """Reset the road until an agent is live."""
+        self.agents = []
+        for _ in range(MAX_SKIPPED):
+            self.simulator.reset()
+            if self._renderer is not None:
+                self._renderer.restart()
+            self._advance_until_live()
+            if self.simulator.roads["num_live"][0]:
+                return
+        raise ScenarioError(
+            f"scenario {self.scenario.name!r}: horizon = {self.scenario.horizon}: must be longer, "
+            f"no command came in {MAX_SKIPPED} episodes"
+        )
+
     def _advance_until_live(self) -> None:
         """Advance until an agent is live or the episode is over; an open window shows it."""
         renderer, road = self._renderer, self.simulator.roads
@@ -310,16 +343,10 @@ class LaneChangeParallelEnv(ParallelEnv):
             raise ValueError(
                 f"actions: {agent} is live and has no action; live agents: {self.agents}"
             ) from None
-        try:
-            array = np.asarray(action, np.float64)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(f"actions[{agent!r}] = {action!r}: {error}") from None
-        shape = self.action_spaces[agent].shape
-        if array.shape != shape:
-            raise ValueError(f"actions[{agent!r}] = {action!r}: must have shape {shape}")
-        values: list[float] = array.tolist()
+        name = f"actions[{agent!r}]"
+        values: list[float] = read_numbers(name, action, self.action_spaces[agent].shape).tolist()
         if not all(map(math.isfinite, values)):
-            raise ValueError(f"actions[{agent!r}] = {values}: must be finite [rad/s^2, m/s^2]")
+            raise ValueError(f"{name} = {values}: must be finite [rad/s^2, m/s^2]")
         return values
 
     def _collect(self, result: Step) -> None:

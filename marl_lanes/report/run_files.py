@@ -11,6 +11,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from marl_lanes.evaluation.headlines import HEADLINES
+from marl_lanes.scenario.messages import shown, shown_name
 from marl_lanes.training.config import CONFIG_FILE, ConfigError, read_scenario_name, validate
 from marl_lanes.training.run_folder import (
     CHOICE_FILE,
@@ -193,5 +194,5 @@ def _read_seconds(path: Path) -> dict[str, float]:
         raise ReportError(f"{path}: must be a mapping of fields")
     for name, value in seconds.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ReportError(f"{path}: {name} = {value!r}: must be a number")
+            raise ReportError(f"{path}: {shown_name(name)} = {shown(value)}: must be a number")
     return seconds

@@ -1,6 +1,6 @@
 """Action, observation and reward of an agent, and when its lane change is complete."""
 
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
@@ -81,7 +81,10 @@ class Observation(Section):
     """What an agent observes."""
 
     features: tuple[FeatureName, ...] = Field(
-        PAPER_FEATURES, min_length=1, description="feature names in order [list], no duplicates"
+        PAPER_FEATURES,
+        min_length=1,
+        max_length=len(get_args(FeatureName)),
+        description="feature names in order [list], no duplicates",
     )
     sensor_range: Positive = Field(
         200.0,

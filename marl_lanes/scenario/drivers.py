@@ -4,7 +4,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from marl_lanes.scenario.fields import NonNegative, Positive, Section, Share, has_weight
+from marl_lanes.scenario.fields import Name, NonNegative, Positive, Section, Share, has_weight
+from marl_lanes.scenario.messages import shown
 
 
 class DriverProfile(Section):
@@ -51,14 +52,15 @@ class Drivers(Section):
     coolness: NonNegative = Field(
         0.99, le=1.0, description="c of the ACC model [1], 0 (the standard IDM) to 1"
     )
-    profiles: dict[str, DriverProfile] = Field(
+    profiles: dict[Name, DriverProfile] = Field(
         default_factory=_default_profiles,
         min_length=1,
         max_length=16,
         description="IDM parameter sets by name [map], 1 to 16",
     )
-    mix: Annotated[dict[str, Share], AfterValidator(has_weight)] = Field(
+    mix: Annotated[dict[Name, Share], AfterValidator(has_weight)] = Field(
         default={"normal": 1.0},
+        max_length=16,
         description="share of each profile [1], 0 to 1e6, names from profiles, not all 0",
     )
 
@@ -66,5 +68,7 @@ class Drivers(Section):
     def _check_mix(self) -> Self:
         unknown = sorted(set(self.mix) - set(self.profiles))
         if unknown:
-            raise ValueError(f"mix: {unknown} must be among the profiles {sorted(self.profiles)}")
+            raise ValueError(
+                f"mix: {shown(unknown)} must be among the profiles {sorted(self.profiles)}"
+            )
         return self

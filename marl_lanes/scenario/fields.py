@@ -7,6 +7,8 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 _SPEED = re.compile(r"\s*([-+]?\d+(?:\.\d*)?)\s*(km/h|m/s)\s*")
+# Control characters, ends of lines, and halves of characters.
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 _TO_METRES_PER_SECOND = {"km/h": 1.0 / 3.6, "m/s": 1.0}
 
 
@@ -22,7 +24,15 @@ def _parse_speed(value: Any) -> Any:
 
 def _parse_pair(value: Any) -> Any:
     """Accept a list, as YAML has it, for a pair."""
-    return tuple(value) if isinstance(value, list) else value
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError("must be a list of two numbers")
+    return tuple(value)
+
+
+def _has_no_control(text: str) -> str:
+    if _CONTROL.search(text):
+        raise ValueError("must have no control characters")
+    return text
 
 
 def _is_ascending(pair: tuple[float, float]) -> tuple[float, float]:
@@ -31,6 +41,8 @@ def _is_ascending(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
+Line = Annotated[str, AfterValidator(_has_no_control)]
+Name = Annotated[Line, Field(min_length=1, max_length=255)]
 Real = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0)]

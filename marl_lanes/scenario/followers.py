@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from marl_lanes.scenario.fields import NonNegative, Positive, Real, Section, Share, has_weight
+from marl_lanes.scenario.fields import Line, NonNegative, Positive, Real, Section, Share, has_weight
 
 SCRIPTED = ("cooperative", "neutral", "adversarial")
 """The dispositions with a formula in the simulation, in the order of their codes."""
@@ -80,8 +80,10 @@ class FollowerReward(Section):
 class Learned(Section):
     """The disposition ``learned``: its policy and its reward."""
 
-    checkpoint: Annotated[str, Field(min_length=1)] | None = Field(
-        None, description="file of a follower's policy [path], null if a learner drives"
+    checkpoint: Annotated[Line, Field(min_length=1, max_length=4096)] | None = Field(
+        None,
+        description="file of a follower's policy [path], null if a learner drives; in a scenario "
+        "file the path begins at the file's folder and stays in it",
     )
     objective: Literal["adversarial", "cooperative"] = Field(
         "adversarial", description="which of the two rewards a learner gets [name]"
@@ -118,6 +120,7 @@ class Followers(Section):
 
     mix: Annotated[dict[DispositionName, Share], AfterValidator(has_weight)] = Field(
         default={"neutral": 1.0},
+        max_length=64,
         description="share of each disposition [1]: cooperative, neutral, adversarial, learned, or "
         "a registered name; 0 to 1e6, not all 0",
     )

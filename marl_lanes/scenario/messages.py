@@ -1,5 +1,6 @@
 """Messages about fields that are not valid: field, value, what is allowed."""
 
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from reprlib import Repr
@@ -11,31 +12,54 @@ from pydantic import BaseModel, ValidationError
 MAX_SHOWN = 80
 """[characters] of a value in a message."""
 
+MAX_NAME = 200
+"""[characters] of a name or a path in a message."""
+
+MAX_PROBLEMS = 10
+"""Problems of one message."""
+
+_WORDS = (
+    (r"^Value error, ", ""),
+    (r"^\w+ should", "must"),
+    (r"a valid (tuple|list)", "a list"),
+    (r"a valid dictionary", "a mapping"),
+    (r"a valid string", "text"),
+    (r" after validation", ""),
+)
+"""What pydantic says, as a pattern, and how a message says it."""
+
 _SHORT = Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = MAX_SHOWN
 
 
 def explain(error: ValidationError, kind: type[BaseModel]) -> str:
-    """All problems in one line, each with field, value and what is allowed.
+    """The problems in one line, each with field, value and what is allowed; the first of many.
 
     Args:
         error: the error of a validation.
         kind: the model that was validated. Validators of a whole section name the field themselves.
     """
+    problems = error.errors(include_url=False)
     lines = []
-    for problem in error.errors():
+    for problem in problems[:MAX_PROBLEMS]:
         path = problem["loc"]
-        location = ".".join(str(part) for part in path)
-        message = problem["msg"].removeprefix("Value error, ")
-        message = message.replace("Input should be", "must be")
+        location = ".".join(shown_name(part) for part in path)
+        message = problem["msg"]
+        for pydantics, ours in _WORDS:
+            message = re.sub(pydantics, ours, message)
         if problem["type"] == "extra_forbidden":
             lines.append(unknown_key(location, fields_at(kind, path[:-1]) or ()))
         elif problem["type"] == "missing":
             lines.append(f"{location}: must be given")
+        elif problem["type"] == "model_type":
+            allowed = ", ".join(fields_at(kind, path) or ())
+            lines.append(f"{location} = {shown(problem['input'])}: must be a mapping of {allowed}")
         elif problem["type"] == "value_error" and fields_at(kind, path) is not None:
             lines.append(f"{location}.{message}" if location else message)
         else:
-            lines.append(f"{location} = {problem['input']!r}: {message}")
+            lines.append(f"{location} = {shown(problem['input'])}: {message}")
+    if len(problems) > MAX_PROBLEMS:
+        lines.append(f"and {len(problems) - MAX_PROBLEMS:,} more")
     return "; ".join(lines)
 
 
@@ -78,3 +102,9 @@ def shown(value: object) -> str:
     except Exception:  # an object's repr may raise anything
         text = f"<{type(value).__name__}>"
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
+
+
+def shown_name(name: object) -> str:
+    """A name or a path as a message shows it: as it is, unless it is long or cannot be printed."""
+    text = str(name)
+    return text if text.isprintable() and len(text) <= MAX_NAME else shown(text)

@@ -16,7 +16,10 @@ class Road(Section):
     num_lanes: Count = Field(3, ge=2, le=16, description="lanes [count], 2 to 16")
     lane_width: Positive = Field(3.75, ge=2.5, le=6.0, description="[m], 2.5 to 6")
     arcs: tuple[Arc, ...] = Field(
-        (), description="curves [list], ascending, disjoint; the road is straight elsewhere"
+        (),
+        max_length=1000,
+        description="curves [list], at most 1000, ascending, disjoint; the road is straight "
+        "elsewhere",
     )
 
     @model_validator(mode="after")

@@ -13,6 +13,7 @@ from marl_lanes.scenario.curves import deviation_in_curves
 from marl_lanes.scenario.drivers import Drivers
 from marl_lanes.scenario.fields import (
     Count,
+    Name,
     NonNegative,
     NonNegativeRange,
     Positive,
@@ -21,6 +22,7 @@ from marl_lanes.scenario.fields import (
     SpeedRange,
 )
 from marl_lanes.scenario.followers import Followers
+from marl_lanes.scenario.messages import shown
 from marl_lanes.scenario.road import Road, Vehicle
 
 MIN_KEEPING_SHARE = 0.14
@@ -78,6 +80,7 @@ class Command(Section):
     )
     lanes: tuple[Count, ...] | None = Field(
         None,
+        max_length=16,
         description="lanes whose vehicles are commanded [list of lanes with a lane on both "
         "sides], null for all of them",
     )
@@ -132,8 +135,12 @@ class Gap(Section):
 class Scenario(Section):
     """A road, its traffic, the commands, the agents' action, observation and reward."""
 
-    name: str = Field(min_length=1, description="the scenario's name [text]")
-    description: str = Field("", description="one sentence about its purpose [text]")
+    name: Name = Field(description="the scenario's name [text], 1 to 255 characters")
+    description: str = Field(
+        "",
+        max_length=1000,
+        description="one sentence about its purpose [text], up to 1000 characters",
+    )
     time_step: Positive = Field(0.1, ge=0.01, le=0.5, description="dt [s], 0.01 to 0.5")
     num_agents: Count | None = Field(
         10,
@@ -194,7 +201,7 @@ class Scenario(Section):
         missing = [lane for lane in self.command.lanes or () if lane not in self.middle_lanes]
         if missing:
             raise ValueError(
-                f"command.lanes = {missing} must be among the middle lanes "
+                f"command.lanes = {shown(missing)} must be among the middle lanes "
                 f"{list(self.middle_lanes)} of road.num_lanes = {self.road.num_lanes}"
             )
         if self.command.probability > 0.0 and not self.command_lanes:

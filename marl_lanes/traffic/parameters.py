@@ -132,6 +132,19 @@ class Parameters:
         )
 
 
+def array_sizes(scenario: Scenario) -> dict[str, int]:
+    """The sizes of a road's arrays, as ``allocate`` takes them."""
+    return {
+        "num_lanes": scenario.road.num_lanes,
+        "max_vehicles": scenario.max_vehicles,
+        "num_slots": scenario.num_slots,
+        "num_features": len(CHANGER.seen(scenario)),
+        "num_terms": len(CHANGER.terms),
+        "num_follower_features": len(FOLLOWER.seen(scenario)),
+        "num_follower_terms": len(FOLLOWER.terms),
+    }
+
+
 def make_parameters(scenario: Scenario) -> Parameters:
     """The numbers of ``scenario`` for the kernels."""
     profiles = np.zeros(len(scenario.drivers.profiles), structure(PROFILE))

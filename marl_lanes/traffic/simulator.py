@@ -1,24 +1,28 @@
 """Roads that advance together: owns the arrays, checks the inputs, divides roads among threads."""
 
-import os
+import math
+import secrets
+import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.traffic.arguments import check_flag, check_whole, read_mask, read_numbers
 from marl_lanes.traffic.machine.compiled import entry_point
 from marl_lanes.traffic.machine.state import Outcome, Records, allocate
-from marl_lanes.traffic.parameters import make_parameters
+from marl_lanes.traffic.machine.threads import RoadThreads, count_processors, exclusive
+from marl_lanes.traffic.parameters import array_sizes, make_parameters
 from marl_lanes.traffic.readout import Masks, read_masks
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policy, choose_policies
 from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.traffic.snapshot import read_snapshot, take_snapshot
 from marl_lanes.traffic.step import RESET, SKIP, STEP, run
 
 _ROADS_PER_THREAD = 1024
@@ -30,6 +34,17 @@ _UNFINISHED = int(Outcome.UNFINISHED)
 _NO_LEARNER = -2
 """A value that ``policy`` of FOLLOWER never has: it is -1 or more."""
 
+_MOST_THREADS = 1024
+_MOST_ROADS = _MOST_FIRST_ROAD = 2**63 - 1
+_LAST_SEED = 2**64 - 1
+
+
+def bytes_of_road(scenario: Scenario) -> int:
+    """Memory of one road [bytes]: its part of the state and of the actions."""
+    arrays = allocate(num_envs=0, **array_sizes(scenario)).arrays
+    state = sum(array.itemsize * math.prod(array.shape[1:]) for array in arrays)
+    return state + 8 * scenario.num_slots * (len(CHANGER.act(scenario)) + 1)
+
 
 class Simulator:
     """E independent roads of one scenario.
@@ -37,12 +52,16 @@ class Simulator:
     The same seed and actions give the same bytes with any ``num_threads``. Road e of a batch is the
     same as road e of a simulator with more or fewer roads.
 
+    Use it from one thread at a time. A call during another one, also of a follower's policy, raises
+    RuntimeError. A process that is forked between calls has its own copy.
+
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
         num_envs: E, >= 1.
-        seed: of the random numbers, 0 to 2^64 - 1.
-        num_threads: threads that share the roads; by default one for every 1024 roads, at most the
-            number of processors.
+        seed: of the random numbers, 0 to 2^64 - 1. None: drawn from the system's entropy;
+            ``initial_seed`` tells it.
+        num_threads: threads that share the roads, 1 to 1024; by default one for every 1024 roads,
+            at most the number of processors that this process may use.
         overrides: scenario fields to replace, as in ``load_scenario``.
         learned_followers: ``step`` takes the actions of the followers whose disposition is
             ``learned``; if the mix has none, all followers are learned.
@@ -53,7 +72,8 @@ class Simulator:
 
     Raises:
         ScenarioError: the scenario is invalid, or a follower of its mix has no policy.
-        ValueError: another argument is out of range.
+        ValueError: another argument has a wrong type, is out of range, or needs more memory than
+            there is.
     """
 
     def __init__(
@@ -61,19 +81,19 @@ class Simulator:
         scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
         num_envs: int = 1,
         *,
-        seed: int = 0,
+        seed: int | None = None,
         num_threads: int | None = None,
         overrides: Mapping[str, Any] | None = None,
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
         first_road: int = 0,
     ) -> None:
-        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs!r}: must be a whole number, at least 1")
-        if num_threads is not None and num_threads < 1:
-            raise ValueError(f"num_threads = {num_threads}: must be at least 1, or None")
-        if not 0 <= first_road < 2**63:
-            raise ValueError(f"first_road = {first_road}: must be at least 0 and below 2^63")
+        num_envs = check_whole("num_envs", num_envs, 1, _MOST_ROADS)
+        if num_threads is not None:
+            num_threads = check_whole("num_threads", num_threads, 1, _MOST_THREADS)
+        first_road = check_whole("first_road", first_road, 0, _MOST_FIRST_ROAD)
+        learned_followers = check_flag("learned_followers", learned_followers)
+        seed = _choose_seed(seed)
         self.scenario = load_scenario(scenario, overrides)
         if learned_followers and LEARNED not in self.scenario.followers.mix:
             self.scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
@@ -89,16 +109,10 @@ class Simulator:
         self.first_road = first_road
         self.num_slots = self.scenario.num_slots
         self.num_actions = len(CHANGER.act(self.scenario))
-        self.state = allocate(
-            num_envs=num_envs,
-            num_lanes=self.scenario.road.num_lanes,
-            max_vehicles=self.scenario.max_vehicles,
-            num_slots=self.num_slots,
-            num_features=len(CHANGER.seen(self.scenario)),
-            num_terms=len(CHANGER.terms),
-            num_follower_features=len(FOLLOWER.seen(self.scenario)),
-            num_follower_terms=len(FOLLOWER.terms),
-        )
+        self.bytes_per_environment = bytes_of_road(self.scenario)
+        """Memory of one road [bytes]: its part of the state and of the actions."""
+        check_memory("num_envs", num_envs, num_envs * self.bytes_per_environment)
+        self.state = allocate(num_envs=num_envs, **array_sizes(self.scenario))
         self.parameters = make_parameters(self.scenario)
         self.actions = np.zeros((num_envs, self.num_slots, self.num_actions))
         """(E, A, D) of the last step, as given."""
@@ -107,30 +121,39 @@ class Simulator:
         self._every_road = np.ones(num_envs, np.bool_)
         self._arguments = self._gather_arguments()
         self._kernel: Callable[..., None] | None = None
-        wanted = num_threads or min(os.cpu_count() or 1, num_envs // _ROADS_PER_THREAD)
+        wanted = num_threads or min(count_processors(), num_envs // _ROADS_PER_THREAD)
         self.num_threads = max(1, min(wanted, num_envs))
-        bounds = np.linspace(0, num_envs, self.num_threads + 1).astype(int).tolist()
-        self._ranges = list(pairwise(bounds))
-        self._pool: ThreadPoolExecutor | None = None
+        self._threads = RoadThreads(num_envs, self.num_threads)
+        self._lock = threading.Lock()
         self.seed(seed)
 
-    def seed(self, seed: int) -> None:
-        """Restart the random numbers; a road's stream is its index. Does not reset the roads."""
-        if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**64:
-            raise ValueError(f"seed = {seed!r}: must be a whole number, 0 to 2^64 - 1")
-        self.state.roads["random_key"] = seed
+    @property
+    def initial_seed(self) -> int:
+        """The seed with which the present random numbers began, given or drawn."""
+        return int(self.state.roads["random_key"][0])
+
+    @exclusive
+    def seed(self, seed: int | None = None) -> None:
+        """Restart the random numbers; a road's stream is its index. Does not reset the roads.
+
+        Args:
+            seed: as for the constructor.
+        """
+        self.state.roads["random_key"] = _choose_seed(seed)
         self.state.roads["random_stream"] = np.arange(self.num_envs) + self.first_road
         self.state.roads["random_counter"] = 0
 
+    @exclusive
     def reset(self, mask: ArrayLike | None = None) -> None:
         """Empty the masked roads (all by default) and run their warm-up.
 
         Args:
             mask: (E,) bool.
+
+        Raises:
+            ValueError: the mask has another shape or type.
         """
-        chosen = self._every_road if mask is None else np.ascontiguousarray(mask, np.bool_)
-        if chosen.shape != (self.num_envs,):
-            raise ValueError(f"mask: shape {chosen.shape}, must be ({self.num_envs},)")
+        chosen = self._every_road if mask is None else read_mask("mask", mask, (self.num_envs,))
         # Nothing of the last episode remains, so equal seeds give equal bytes.
         state = self.state
         for array in (state.vehicles, state.agents, state.followers, state.collisions):
@@ -138,6 +161,7 @@ class Simulator:
         self.state.order[chosen] = 0
         self._run(RESET, chosen)
 
+    @exclusive
     def step(
         self, actions: ArrayLike | None = None, follower_actions: ArrayLike | None = None
     ) -> None:
@@ -151,13 +175,16 @@ class Simulator:
                 clipped to the scenario's bounds, used where ``is_follower_acting``. None: zeros.
 
         Raises:
-            ValueError: wrong shape, or the action of an acting agent is not finite.
+            ValueError: wrong type or shape, or the action of an acting agent is not finite.
             FollowerError: a follower's policy returned invalid accelerations.
         """
-        self._take("actions", actions, self.actions)
-        self._take("follower_actions", follower_actions, self.follower_actions)
-        self.advance()
+        given = self._read("actions", actions, self.actions)
+        given_followers = self._read("follower_actions", follower_actions, self.follower_actions)
+        np.copyto(self.actions, given)
+        np.copyto(self.follower_actions, given_followers)
+        self._advance()
 
+    @exclusive
     def advance(self) -> None:
         """``step`` with the contents of ``actions`` and ``follower_actions``, which must be finite.
 
@@ -166,9 +193,9 @@ class Simulator:
         Raises:
             FollowerError: a follower's policy returned invalid accelerations.
         """
-        self._ask_policies()
-        self._run(STEP, self._every_road)
+        self._advance()
 
+    @exclusive
     def advance_until_live(self) -> None:
         """Advance each road without a live agent until it has one, or its episode is over.
 
@@ -183,30 +210,22 @@ class Simulator:
             )
         self._run(SKIP, self._every_road)
 
-    @property
-    def bytes_per_environment(self) -> float:
-        """Memory of one road [bytes]: its part of the state and of the actions."""
-        arrays = [*self.state.arrays, self.actions, self.follower_actions]
-        return sum(array.nbytes for array in arrays) / self.num_envs
-
+    @exclusive
     def snapshot(self) -> bytes:
-        """Every byte of the roads; ``restore`` continues from it."""
-        return self.state.tobytes()
+        """Every byte of the roads, with digests; ``restore`` continues from it."""
+        return take_snapshot(self.state, self.parameters)
 
+    @exclusive
     def restore(self, snapshot: bytes) -> None:
         """Continue from a snapshot of a simulator with the same scenario and number of roads.
 
         Raises:
-            ValueError: the snapshot has another size; nothing is changed.
+            ValueError: the snapshot has another size, is of another scenario, is damaged, or holds
+                roads that cannot be; nothing is changed.
         """
-        wanted = sum(array.nbytes for array in self.state.arrays)
-        if len(snapshot) != wanted:
-            raise ValueError(f"snapshot: {len(snapshot)} bytes, must be {wanted}")
-        start = 0
-        for array in self.state.arrays:
-            stored = np.frombuffer(snapshot, array.dtype, array.size, start)
-            np.copyto(array, stored.reshape(array.shape))
-            start += array.nbytes
+        stored = read_snapshot(snapshot, self.state, self.parameters)
+        for array, content in zip(self.state.arrays, stored.arrays, strict=True):
+            np.copyto(array, content)
 
     @property
     def has_longitudinal(self) -> bool:
@@ -258,18 +277,16 @@ class Simulator:
         """(E,) the table ROAD."""
         return self.state.roads
 
-    def _take(self, name: str, given: ArrayLike | None, kept: NDArray[np.float64]) -> None:
-        """Copy actions. A value that is not finite becomes 0, or an error if its agent acts."""
+    def _read(
+        self, name: str, given: ArrayLike | None, kept: NDArray[np.float64]
+    ) -> NDArray[np.float64] | float:
+        """Actions. A value that is not finite becomes 0, or an error if its agent acts."""
         if given is None:
-            kept.fill(0.0)
-            return
-        array = np.asarray(given, np.float64)
-        if array.shape != kept.shape:
-            raise ValueError(f"{name}: shape {array.shape}, must be {kept.shape}")
-        np.copyto(kept, array)
+            return 0.0
+        array = read_numbers(name, given, kept.shape)
         is_finite = np.isfinite(array)
         if is_finite.all():
-            return
+            return array
         acting = self.is_acting if kept is self.actions else self.is_follower_acting
         bad = acting[..., None] & ~is_finite
         if bad.any():
@@ -278,10 +295,15 @@ class Simulator:
                 f"{name}[{env}, {slot}, {column}] = {array[env, slot, column]}: must be a finite "
                 "acceleration"
             )
-        kept[~is_finite] = 0.0
+        return np.where(is_finite, array, 0.0)
+
+    def _advance(self) -> None:
+        self._ask_policies()
+        self._run(STEP, self._every_road)
 
     def _ask_policies(self) -> None:
-        """Fill in the actions of the followers that a policy drives."""
+        """Fill in the actions of the followers that a policy drives, once all have answered."""
+        answers = []
         for code, policy in enumerate(self._policies):
             if policy is None:
                 continue
@@ -289,7 +311,9 @@ class Simulator:
             if rows.any():
                 name = self.scenario.followers.external_names[code]
                 seen = self.state.follower_observations[rows]
-                self.follower_actions[rows, 0] = ask_policy(name, policy, seen, self.scenario)
+                answers.append((rows, ask_policy(name, policy, seen, self.scenario)))
+        for rows, accelerations in answers:
+            self.follower_actions[rows, 0] = accelerations
 
     def _gather_arguments(self) -> tuple[NDArray[Any], ...]:
         return (self.actions, self.follower_actions, *self.state.arrays, *self.parameters.arrays)
@@ -297,25 +321,23 @@ class Simulator:
     def _run(self, mode: int, mask: NDArray[np.bool_]) -> None:
         if self._kernel is None:
             self._kernel = entry_point(run, (0, self.num_envs, mode, mask, *self._arguments))
-        run_roads: Callable[..., None] = self._kernel
-        if self.num_threads == 1:
-            run_roads(0, self.num_envs, mode, mask, *self._arguments)
-            return
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self.num_threads - 1, "marl_lanes")
-        (first, *others) = self._ranges
-        pending = [
-            self._pool.submit(run_roads, start, stop, mode, mask, *self._arguments)
-            for start, stop in others
-        ]
-        run_roads(*first, mode, mask, *self._arguments)
-        for future in pending:
-            future.result()
+        self._threads.run(self._kernel, mode, mask, *self._arguments)
 
     def __getstate__(self) -> dict[str, Any]:
-        # A thread pool cannot be copied; the arguments must be the arrays of the copied state.
-        return {**self.__dict__, "_pool": None, "_kernel": None, "_arguments": ()}
+        # A copy has its own lock and threads, and the arguments must be the arrays of its state.
+        own = ("_lock", "_threads", "_kernel", "_arguments")
+        return {name: value for name, value in self.__dict__.items() if name not in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._arguments = self._gather_arguments()
+        self._kernel = None
+        self._lock = threading.Lock()
+        self._threads = RoadThreads(self.num_envs, self.num_threads)
+
+
+def _choose_seed(seed: int | None) -> int:
+    """The seed, or one of 63 bits from the system's entropy."""
+    if seed is not None:
+        return check_whole("seed", seed, 0, _LAST_SEED)
+    return secrets.randbits(63)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException
@@ -16,6 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel
 
 from marl_lanes.scenario.messages import fields_at, unknown_key
+from marl_lanes.scenario.yaml_files import format_yaml
 from marl_lanes.training.config import ConfigError, ProgramConfig
 
 MAIN_FILE = "config"
@@ -68,7 +68,7 @@ def read_command_line(
     options = parser.parse_intermixed_args(arguments)
     fields = compose_fields(kind, folder, options.overrides, choices, file=file)
     if options.cfg is not None:
-        sys.stdout.write(yaml.safe_dump(fields, sort_keys=False))
+        sys.stdout.write(format_yaml(fields))
         sys.exit(0)
     return fields
 

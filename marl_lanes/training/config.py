@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import torch
-import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from marl_lanes.files import write_text
 from marl_lanes.scenario.fields import Count, NonNegative, Positive, Real, Section
-from marl_lanes.scenario.messages import explain
+from marl_lanes.scenario.messages import explain, shown
+from marl_lanes.scenario.yaml_files import YamlError, format_yaml, read_yaml
 
 CONFIG_FILE = "config.yaml"
 """File name of a run's configuration."""
@@ -286,7 +286,7 @@ def read_scenario_name(folder: Path) -> str:
     origin = f"run {folder}: "
     name = _read_stored(folder, origin).get("scenario")
     if not isinstance(name, str):
-        raise ConfigError(f"{origin}its {CONFIG_FILE}: scenario = {name!r}: must be a name")
+        raise ConfigError(f"{origin}its {CONFIG_FILE}: scenario = {shown(name)}: must be a name")
     return name
 
 
@@ -296,12 +296,13 @@ def _read_stored(folder: Path, origin: str) -> dict[str, Any]:
     if not path.is_file():
         raise ConfigError(f"{origin}must be a run folder; it has no {CONFIG_FILE}")
     try:
-        stored = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"{origin}its {CONFIG_FILE} is not readable as YAML: {reason}") from None
+        stored = read_yaml(path)
+    except YamlError as error:
+        raise ConfigError(f"{origin}its {CONFIG_FILE}: {error}") from None
     if not isinstance(stored, dict):
-        raise ConfigError(f"{origin}its {CONFIG_FILE} must be a mapping of fields, got {stored!r}")
+        raise ConfigError(
+            f"{origin}its {CONFIG_FILE}: must be a mapping of fields, got {shown(stored)}"
+        )
     return stored
 
 
@@ -320,5 +321,4 @@ def read_changers_config(kind: type[ChangersKind], fields: Mapping[str, Any]) ->
 
 def write_config(path: Path, config: ProgramConfig) -> None:
     """Write the whole configuration as YAML."""
-    text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
-    write_text(path, text)
+    write_text(path, format_yaml(config.model_dump(mode="json")))

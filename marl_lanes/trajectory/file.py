@@ -11,6 +11,7 @@ import numpy as np
 from marl_lanes.extras import need
 from marl_lanes.files import replacing
 from marl_lanes.scenario import Scenario
+from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.machine.state import NONE
 from marl_lanes.trajectory.columns import COLUMNS, ROW, Column, new_rows
 from marl_lanes.trajectory.frames import Frame, Rows
@@ -288,7 +289,7 @@ def _read_column(values: Any, column: Column, scenario: Scenario) -> Any:
                 strange = values.filter(compute.is_null(codes))[0]
                 allowed = ", ".join(column.names(scenario))
                 raise TrajectoryError(
-                    f"column {column.name}: {strange.as_py()!r}: must be one of {allowed}"
+                    f"column {column.name}: {shown(strange.as_py())}: must be one of {allowed}"
                 )
             return codes.to_numpy()
         kind = arrow.from_numpy_dtype(ROW[column.name])

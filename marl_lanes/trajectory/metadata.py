@@ -6,6 +6,7 @@ from importlib.metadata import version
 from typing import Any
 
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.scenario.messages import shown
 
 FORMAT = 1
 """Number of the file's form; another number means other columns or another meaning."""
@@ -67,12 +68,13 @@ class Metadata:
         found = fields.get("format")
         if found != FORMAT:
             raise TrajectoryError(
-                f"metadata: format = {found!r}: must be {FORMAT}; record it again with this version"
+                f"metadata: format = {shown(found)}: must be {FORMAT}; record it again with this "
+                "version"
             )
         for name, kind, wanted in _FIELDS:
             value = fields.get(name)
             if not isinstance(value, kind) or isinstance(value, bool):
-                raise TrajectoryError(f"metadata: {name} = {value!r}: must be {wanted}")
+                raise TrajectoryError(f"metadata: {name} = {shown(value)}: must be {wanted}")
         try:
             scenario = load_scenario(fields["scenario"])
         except ScenarioError as error:

@@ -2,7 +2,8 @@
 
 import pytest
 import yaml
-from cli.commands import assert_refused
+from cli.commands import EVALUATE, assert_refused
+from scenario.breakages import as_yaml, breakages, fields_with
 
 from marl_lanes import list_scenarios, load_scenario
 from marl_lanes.cli.main import main
@@ -37,3 +38,13 @@ def test_a_printed_scenario_is_the_scenario(capsys, tmp_path, name):
 def test_another_scenario_is_refused(capsys, tmp_path, monkeypatch, name, message):
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, tmp_path, ["scenarios", name], message)
+
+
+@pytest.mark.parametrize(
+    ("command", "stride"), [(["scenarios"], 97), ([*EVALUATE, "--scenario"], 397)]
+)
+def test_a_broken_scenario_is_refused_in_one_line(capsys, tmp_path, command, stride):
+    file = tmp_path / "broken.yaml"
+    for path, value in breakages()[::stride]:
+        file.write_text(as_yaml(fields_with(path, value)), encoding="utf-8")
+        assert_refused(capsys, tmp_path, [*command, str(file)], path[0])

@@ -75,7 +75,7 @@ def busy():
 @pytest.mark.parametrize("num_envs", [1, 4])
 @pytest.mark.parametrize("scenario", ["paper", "dense", "curved", "five_lanes", "touch"])
 def test_it_passes_torchrls_spec_check(scenario, num_envs):
-    env = LaneChangeEnv(scenario, num_envs)
+    env = LaneChangeEnv(scenario, num_envs, seed=0)
     check_env_specs(env)
     check_env_specs(env, break_when_any_done="both")
     num_slots = env.scenario.num_slots
@@ -111,7 +111,7 @@ def test_roads_differ_and_do_not_depend_on_their_number():
 
 
 def test_a_partial_reset_leaves_the_other_roads_alone():
-    env, twin = (LaneChangeEnv("dense", 3, overrides={"num_slots": 4}) for _ in range(2))
+    env, twin = (LaneChangeEnv("dense", 3, overrides={"num_slots": 4}, seed=0) for _ in range(2))
     last, same = (roll(one, 60)[:, -1]["next"] for one in (env, twin))
     before = [road_bytes(env, road) for road in range(3)]
     assert last["changers", "mask"].any(1).all()
@@ -140,7 +140,7 @@ def test_a_partial_reset_leaves_the_other_roads_alone():
 
 
 def test_a_reset_of_every_road_and_of_none():
-    env = LaneChangeEnv("paper", 2)
+    env = LaneChangeEnv("paper", 2, seed=0)
     roll(env, 20)
     state = env.simulator.state.tobytes()
     assert env.simulator.roads["step"].tolist() == [20, 20]
@@ -218,7 +218,9 @@ def test_outcomes_end_the_agents_as_they_should(busy):
 
 
 def test_a_missed_command_is_truncated():
-    env = LaneChangeEnv("dense", 1, overrides={"gap": {"minimum_gap": 500.0}, "num_agents": 2})
+    env = LaneChangeEnv(
+        "dense", 1, overrides={"gap": {"minimum_gap": 500.0}, "num_agents": 2}, seed=0
+    )
     steps = env.rollout(LONG, hold)
     after = steps["next", "changers"]
     ends = after["done"].squeeze(-1)
@@ -232,7 +234,7 @@ def test_a_missed_command_is_truncated():
 
 
 def test_the_last_command_terminates_a_road():
-    env = LaneChangeEnv("paper", 1, overrides=SHORT)
+    env = LaneChangeEnv("paper", 1, overrides=SHORT, seed=0)
     steps = env.rollout(LONG, steer)
     done = steps["next", "done"].flatten()
     assert done.tolist() == [False] * (len(done) - 1) + [True]
@@ -243,7 +245,7 @@ def test_the_last_command_terminates_a_road():
 
 
 def test_the_horizon_truncates_agents_and_road():
-    env = LaneChangeEnv("paper", 2, overrides={**BUSY, "horizon": 30.0})
+    env = LaneChangeEnv("paper", 2, overrides={**BUSY, "horizon": 30.0}, seed=0)
     steps = env.rollout(LONG, hold)
     assert steps.shape == (2, 300)
     last = steps[:, -1]
@@ -264,7 +266,7 @@ def test_the_horizon_truncates_agents_and_road():
 def test_a_collector_resets_each_road_at_its_end():
     from torchrl.collectors import Collector
 
-    env = LaneChangeEnv("paper", 3, overrides=SHORT)
+    env = LaneChangeEnv("paper", 3, overrides=SHORT, seed=0)
     collector = Collector(env, steer, frames_per_batch=600, total_frames=3000, **PLAIN)
     steps = torch.cat([batch.clone() for batch in collector], 1)
     collector.shutdown()
@@ -299,7 +301,7 @@ def test_a_collector_runs_roads_without_end():
 
 
 def test_returned_tensors_are_nobody_elses():
-    env, twin = (LaneChangeEnv("paper", 2, overrides=BUSY) for _ in range(2))
+    env, twin = (LaneChangeEnv("paper", 2, overrides=BUSY, seed=0) for _ in range(2))
     current, same = env.reset(), twin.reset()
     frames, copies = [], []
     for _ in range(150):
@@ -320,7 +322,7 @@ def test_returned_tensors_are_nobody_elses():
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
 def test_a_copy_goes_on_by_itself(duplicate):
-    env = LaneChangeEnv("paper", 2, overrides=BUSY)
+    env = LaneChangeEnv("paper", 2, overrides=BUSY, seed=0)
     last = roll(env, 150)[:, -1]["next"].exclude(("changers", "reward"))
     twin = duplicate(env)
     frozen = env.simulator.state.tobytes()
@@ -348,7 +350,7 @@ def test_what_cannot_be_is_refused():
 
 
 def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
-    env, twin = (LaneChangeEnv("paper", 1, overrides=BUSY) for _ in range(2))
+    env, twin = (LaneChangeEnv("paper", 1, overrides=BUSY, seed=0) for _ in range(2))
 
     def step(one, action):
         return one.step(TensorDict({"changers": {"action": action}}, [1]))["next"]
@@ -366,7 +368,7 @@ def test_actions_are_clipped_and_must_be_numbers_where_an_agent_steers():
 
 
 def test_tensors_are_made_where_the_environment_is(monkeypatch):
-    env = LaneChangeEnv("paper", 2)
+    env = LaneChangeEnv("paper", 2, seed=0)
     # The specs cannot be made on this device.
     monkeypatch.setattr(LaneChangeEnv, "device", torch.device("meta"))
     elsewhere = env._reset()
@@ -375,7 +377,7 @@ def test_tensors_are_made_where_the_environment_is(monkeypatch):
 
 
 def test_torchrl_checks_the_types_where_it_is_asked_to(monkeypatch):
-    env = LaneChangeEnv("paper", 2)
+    env = LaneChangeEnv("paper", 2, seed=0)
     env.run_type_checks = True
     assert env.rollout(2).shape == (2, 2)
     read_out = env._read_out
@@ -391,6 +393,6 @@ def test_torchrl_checks_the_types_where_it_is_asked_to(monkeypatch):
 
 
 def test_the_device_may_be_left_open():
-    env = LaneChangeEnv("paper", 1, device=None)
+    env = LaneChangeEnv("paper", 1, device=None, seed=0)
     assert env.rollout(2).device is None
-    assert LaneChangeEnv("paper", 1, device="cpu").rollout(2).device == torch.device("cpu")
+    assert LaneChangeEnv("paper", 1, device="cpu", seed=0).rollout(2).device == torch.device("cpu")

@@ -27,12 +27,12 @@ TERMS = [
 ]  # fmt: skip
 
 
-def learners(scenario="paper", render_mode=None, **options):
-    return parallel_env(scenario, render_mode, learned_followers=True, **options)
+def learners(scenario="paper", render_mode=None, *, seed=0, **options):
+    return parallel_env(scenario, render_mode, seed=seed, learned_followers=True, **options)
 
 
-def learners_in_turn(scenario="paper", render_mode=None, **options):
-    return env(scenario, render_mode, learned_followers=True, **options)
+def learners_in_turn(scenario="paper", render_mode=None, *, seed=0, **options):
+    return env(scenario, render_mode, seed=seed, learned_followers=True, **options)
 
 
 def act(name, observation):
@@ -87,7 +87,7 @@ def test_it_passes_pettingzoos_seed_tests():
 def test_it_passes_torchrls_spec_check(scenario, num_envs):
     from torchrl.envs.utils import check_env_specs
 
-    roads = LaneChangeEnv(scenario, num_envs, learned_followers=True)
+    roads = LaneChangeEnv(scenario, num_envs, learned_followers=True, seed=0)
     check_env_specs(roads)
     slots = roads.scenario.num_slots
     assert list(roads.group_map) == ["changers", "followers"]
@@ -129,7 +129,7 @@ def test_a_seed_gives_the_same_bytes(scenario):
 @pytest.mark.parametrize("overrides", [FEW, MIXED], ids=["learned", "mixed"])
 def test_both_environments_give_the_same_road(overrides):
     single = learners("dense", overrides=overrides)
-    roads = LaneChangeEnv("dense", 3, overrides=overrides, learned_followers=True)
+    roads = LaneChangeEnv("dense", 3, overrides=overrides, learned_followers=True, seed=0)
     roads.set_seed(7)
     observations, _ = single.reset(seed=7)
     current = roads.reset()
@@ -248,7 +248,9 @@ def test_followers_are_live_as_long_as_their_changers_and_act_while_paired():
 
 
 def test_the_masks_of_a_mix_of_learned_and_scripted_drivers():
-    roads = LaneChangeEnv("dense", 4, overrides={**MIXED, "num_agents": 8}, learned_followers=True)
+    roads = LaneChangeEnv(
+        "dense", 4, overrides={**MIXED, "num_agents": 8}, learned_followers=True, seed=0
+    )
     assert roads.scenario.followers.mix == {"learned": 1.0, "neutral": 1.0}
     steps = roads.rollout(600, break_when_any_done=False)
     changers, followers = steps["changers"], steps["followers"]
@@ -261,9 +263,9 @@ def test_the_masks_of_a_mix_of_learned_and_scripted_drivers():
     assert not reward[~acting].any()
     assert reward[acting].all()
     assert (steps["next", "followers", "done"] == steps["next", "changers", "done"]).all()
-    scripted = LaneChangeEnv("dense", 4, overrides={"followers": {"mix": {"neutral": 1.0}}})
+    scripted = LaneChangeEnv("dense", 4, overrides={"followers": {"mix": {"neutral": 1.0}}}, seed=0)
     assert list(scripted.group_map) == ["changers"]
-    whole = LaneChangeEnv("dense", 4, learned_followers=True)
+    whole = LaneChangeEnv("dense", 4, learned_followers=True, seed=0)
     assert whole.scenario.followers.mix == {"learned": 1.0}
 
 
@@ -288,7 +290,7 @@ def test_a_saved_follower_drives(tmp_path):
     overrides = {**FEW, **saved(tmp_path / "follower.pt", network)}
     scenario = load_scenario("dense", overrides)
     policy = find_policies(scenario)["learned"]
-    road = parallel_env(scenario)
+    road = parallel_env(scenario, seed=0)
     state, wanted, found = road.simulator.state, [], []
     observations, _ = road.reset(seed=0)
     assert road.possible_agents == [f"changer_{k}" for k in range(4)]

@@ -91,12 +91,12 @@ def until_engaged(road, seed=0):
 
 @pytest.mark.parametrize("scenario", ["paper", "dense", "five_lanes"])
 def test_it_passes_the_parallel_api_test(scenario):
-    parallel_api_test(parallel_env(scenario), num_cycles=LONG)
+    parallel_api_test(parallel_env(scenario, seed=0), num_cycles=LONG)
 
 
 @pytest.mark.parametrize("scenario", ["paper", "dense"])
 def test_its_aec_form_passes_the_api_test(scenario):
-    api_test(env(scenario), num_cycles=1000)
+    api_test(env(scenario, seed=0), num_cycles=1000)
 
 
 def test_it_passes_the_seed_tests():
@@ -106,7 +106,7 @@ def test_it_passes_the_seed_tests():
 
 @pytest.mark.slow
 def test_its_aec_form_runs_the_performance_benchmark(capsys):
-    performance_benchmark(env())
+    performance_benchmark(env(seed=0))
     assert "Finished performance benchmark" in capsys.readouterr().out
 
 
@@ -115,15 +115,15 @@ def test_its_aec_form_runs_the_performance_benchmark(capsys):
 def test_a_seed_gives_the_same_bytes_over_a_whole_episode(scenario, policy):
     used = parallel_env(scenario, seed=9)
     play(used)
-    first = transcript(parallel_env(scenario), POLICIES[policy], seed=3)
+    first = transcript(parallel_env(scenario, seed=0), POLICIES[policy], seed=3)
     assert first == transcript(used, POLICIES[policy], seed=3)
     assert first == transcript(parallel_env(scenario, seed=3), POLICIES[policy])
     assert first != transcript(used, POLICIES[policy], seed=4)
-    assert transcript(used, seed=0) == transcript(parallel_env(scenario))
+    assert transcript(used, seed=0) == transcript(parallel_env(scenario, seed=0))
 
 
 def test_a_reset_without_a_seed_goes_on_in_the_stream():
-    one, other = parallel_env(seed=5), parallel_env()
+    one, other = parallel_env(seed=5), parallel_env(seed=0)
     first = [transcript(one), transcript(one), transcript(one)]
     assert len({"".join(lines) for lines in first}) == 3
     assert first == [transcript(other, seed=5), transcript(other), transcript(other)]
@@ -131,7 +131,7 @@ def test_a_reset_without_a_seed_goes_on_in_the_stream():
 
 @pytest.mark.parametrize("scenario", list_scenarios())
 def test_an_episode_is_its_commands_each_born_and_finished_once(scenario):
-    road = parallel_env(scenario)
+    road = parallel_env(scenario, seed=0)
     live, ended, idle_steps = [], [], 0
     for before, _, _, terminations, truncations, infos in play(road, seed=1):
         assert sorted(live) == sorted(before)
@@ -149,7 +149,7 @@ def test_an_episode_is_its_commands_each_born_and_finished_once(scenario):
 
 
 def test_idle_traffic_is_run_through():
-    road = parallel_env()
+    road = parallel_env(seed=0)
     observations, _ = road.reset(seed=0)
     skipped = 0
     while road.agents:
@@ -164,7 +164,7 @@ def test_idle_traffic_is_run_through():
 @pytest.mark.parametrize("fixed_agents", [False, True])
 def test_the_horizon_truncates_every_live_agent(fixed_agents):
     overrides = {**BUSY, "horizon": 20.0, "num_agents": 1000}
-    road = parallel_env(overrides=overrides, fixed_agents=fixed_agents)
+    road = parallel_env(overrides=overrides, fixed_agents=fixed_agents, seed=0)
     before, _, _, terminations, truncations, infos = play(road, hold, seed=0)[-1]
     outcomes = [infos[agent]["outcome"] for agent in before]
     assert outcomes.count(Outcome.HORIZON) > 1
@@ -176,7 +176,7 @@ def test_the_horizon_truncates_every_live_agent(fixed_agents):
 
 def test_a_newborn_is_in_every_dict_with_reward_zero():
     born = 0
-    road = parallel_env("dense", overrides={**BUSY, "num_agents": 30})
+    road = parallel_env("dense", overrides={**BUSY, "num_agents": 30}, seed=0)
     for before, observations, rewards, terminations, truncations, infos in play(road, hold, seed=2):
         names = set(infos)
         assert before == sorted(before, key=road.possible_agents.index)
@@ -193,7 +193,7 @@ def test_a_newborn_is_in_every_dict_with_reward_zero():
 
 @pytest.mark.parametrize("policy", [steer, hold, random_policy(0)])
 def test_rewards_are_the_sum_of_the_terms_and_only_steering_pays(policy):
-    road = parallel_env("dense", overrides={"num_agents": 30})
+    road = parallel_env("dense", overrides={"num_agents": 30}, seed=0)
     phases, paid = {}, 0
     for before, _, rewards, _, _, infos in play(road, policy, seed=4):
         for name in before:
@@ -215,7 +215,7 @@ def test_outcomes_agree_with_terminations_and_truncations():
     seen = set()
     cases = itertools.product(["dense", "paper"], [steer, hold, random_policy(0)])
     for scenario, policy in cases:
-        road = parallel_env(scenario, overrides={"num_agents": 40, "horizon": 60.0})
+        road = parallel_env(scenario, overrides={"num_agents": 40, "horizon": 60.0}, seed=0)
         for _, _, _, terminations, truncations, infos in play(road, policy, seed=0):
             for name, info in infos.items():
                 outcome = info["outcome"]
@@ -229,17 +229,17 @@ def test_outcomes_agree_with_terminations_and_truncations():
 @pytest.mark.parametrize(
     ("action", "problem"),
     [
-        (None, r"must have shape \(1,\)"),
-        (0.1, r"must have shape \(1,\)"),
-        (np.zeros((1, 1)), r"must have shape \(1,\)"),
-        (np.zeros(2), r"must have shape \(1,\)"),
-        (np.zeros(0), r"must have shape \(1,\)"),
+        (None, r"must be \(1,\)"),
+        (0.1, r"must be \(1,\)"),
+        (np.zeros((1, 1)), r"must be \(1,\)"),
+        (np.zeros(2), r"must be \(1,\)"),
+        (np.zeros(0), r"must be \(1,\)"),
         (np.array([np.nan]), "must be finite"),
         (np.array([np.inf]), "must be finite"),
     ],
 )
 def test_a_bad_action_is_refused_by_the_agents_name(action, problem):
-    road, twin = parallel_env(), parallel_env()
+    road, twin = parallel_env(seed=0), parallel_env(seed=0)
     until_engaged(road)
     until_engaged(twin)
     (agent,) = road.agents
@@ -251,7 +251,7 @@ def test_a_bad_action_is_refused_by_the_agents_name(action, problem):
 
 
 def test_a_missing_action_is_refused_by_the_agents_name():
-    road = parallel_env(overrides=BUSY)
+    road = parallel_env(overrides=BUSY, seed=0)
     road.reset(seed=0)
     while len(road.agents) < 2:
         road.step({agent: hold(None) for agent in road.agents})
@@ -260,7 +260,7 @@ def test_a_missing_action_is_refused_by_the_agents_name():
 
 
 def test_actions_are_clipped_and_those_of_others_ignored():
-    road, twin = parallel_env(), parallel_env()
+    road, twin = parallel_env(seed=0), parallel_env(seed=0)
     until_engaged(road)
     until_engaged(twin)
     (agent,) = road.agents
@@ -272,7 +272,7 @@ def test_actions_are_clipped_and_those_of_others_ignored():
 
 @pytest.mark.parametrize("scenario", list_scenarios())
 def test_long_random_rollouts_stay_in_the_spaces(scenario):
-    road = parallel_env(scenario, overrides={"num_agents": 10})
+    road = parallel_env(scenario, overrides={"num_agents": 10}, seed=0)
     for name in road.possible_agents:
         assert road.action_space(name) is road.action_space(name)
         assert road.observation_space(name) is road.observation_space(name)
@@ -308,7 +308,9 @@ def test_what_cannot_be_is_refused():
 @pytest.mark.parametrize("fixed_agents", [False, True])
 def test_returned_observations_are_nobody_elses(fixed_agents):
     few = {"num_agents": 4}
-    road, twin = (parallel_env("dense", fixed_agents=fixed_agents, overrides=few) for _ in range(2))
+    road, twin = (
+        parallel_env("dense", fixed_agents=fixed_agents, overrides=few, seed=0) for _ in range(2)
+    )
     kept, saved = [road.reset(seed=0)[0]], []
     twin.reset(seed=0)
     while road.agents:
@@ -324,7 +326,7 @@ def test_returned_observations_are_nobody_elses(fixed_agents):
 
 @pytest.mark.parametrize("fixed_agents", [False, True])
 def test_after_the_end_a_step_returns_empty_dicts(fixed_agents):
-    road = parallel_env(overrides={"num_agents": 1}, fixed_agents=fixed_agents)
+    road = parallel_env(overrides={"num_agents": 1}, fixed_agents=fixed_agents, seed=0)
     assert road.step({}) == ({}, {}, {}, {}, {})
     play(road, seed=0)
     last = road.simulator.state.tobytes()
@@ -334,10 +336,10 @@ def test_after_the_end_a_step_returns_empty_dicts(fixed_agents):
 
 
 def test_fixed_agents_adds_the_absent_ones_with_zeros():
-    road = parallel_env("five_lanes", fixed_agents=True)
+    road = parallel_env("five_lanes", fixed_agents=True, seed=0)
     play(road, seed=1)
     fixed = play(road, seed=7)
-    free = play(parallel_env("five_lanes"), seed=7)
+    free = play(parallel_env("five_lanes", seed=0), seed=7)
     finished = set()
     for (before, *parts), (same, *fewer) in zip(fixed, free, strict=True):
         assert before == same
@@ -366,7 +368,7 @@ def test_it_runs_in_torchrls_wrapper(scenario):
     from torchrl.envs import PettingZooWrapper
     from torchrl.envs.utils import check_env_specs
 
-    road = parallel_env(scenario, fixed_agents=True, overrides={"num_agents": 3})
+    road = parallel_env(scenario, fixed_agents=True, overrides={"num_agents": 3}, seed=0)
     wrapped = PettingZooWrapper(road, use_mask=True, done_on_any=False)
     check_env_specs(wrapped)
     for _ in range(2):

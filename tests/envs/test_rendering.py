@@ -141,7 +141,7 @@ def test_the_parallel_form_renders_as_the_aec_form(mode):
 @pytest.mark.usefixtures("no_display")
 @pytest.mark.parametrize("size", [(320, 180), (1280, 720)])
 def test_an_array_is_the_picture_of_the_state_until_the_next_step(size):
-    road = parallel_env("dense", "rgb_array", view={"size": size})
+    road = parallel_env("dense", "rgb_array", view={"size": size}, seed=0)
     road.reset(seed=0)
     pictures = []
     for _ in range(3):
@@ -167,7 +167,7 @@ def test_a_seed_gives_the_same_pictures_in_any_episode():
             pictures.append(road.render())
         return np.stack(pictures)
 
-    used, fresh = (parallel_env("dense", "rgb_array", view=SMALL) for _ in range(2))
+    used, fresh = (parallel_env("dense", "rgb_array", view=SMALL, seed=0) for _ in range(2))
     drive(used, steps=5, seed=4)
     first = film(used)
     assert np.array_equal(film(used), first)
@@ -175,7 +175,7 @@ def test_a_seed_gives_the_same_pictures_in_any_episode():
 
 
 def test_a_lane_change_is_seen():
-    road = parallel_env("paper", "rgb_array", view=ViewOptions(follow="changer_0"))
+    road = parallel_env("paper", "rgb_array", view=ViewOptions(follow="changer_0"), seed=0)
     painter = Painter(road.scenario)
     scale = painter.layout.camera.width / painter.options.span
     observations, infos = road.reset(seed=0)
@@ -213,7 +213,7 @@ def test_the_run_has_the_same_bytes_whether_it_is_shown_or_not(scenario, options
 
 @pytest.mark.usefixtures("screenless")
 def test_a_window_shows_every_step_once_also_those_without_an_agent(frames):
-    road = parallel_env("paper", "human", view=SMALL, overrides={"num_agents": 2})
+    road = parallel_env("paper", "human", view=SMALL, overrides={"num_agents": 2}, seed=0)
     num_steps = len(drive(road, seed=0))
     last = int(road.simulator.roads["step"][0])
     assert [frame.step for frame in frames] == list(range(last + 1))
@@ -223,7 +223,9 @@ def test_a_window_shows_every_step_once_also_those_without_an_agent(frames):
 
 
 def test_a_picture_shows_what_the_step_has_removed_and_the_actions(frames):
-    road = parallel_env("dense", "rgb_array", view=SMALL, overrides={**BUSY, "num_agents": 12})
+    road = parallel_env(
+        "dense", "rgb_array", view=SMALL, overrides={**BUSY, "num_agents": 12}, seed=0
+    )
     road.reset(seed=0)
     lost = acted = 0
     while road.agents:
@@ -243,7 +245,7 @@ def test_a_picture_shows_what_the_step_has_removed_and_the_actions(frames):
 
 
 def test_without_a_mode_render_warns_and_nothing_is_imported():
-    road = parallel_env()
+    road = parallel_env(seed=0)
     road.reset(seed=0)
     with pytest.warns(UserWarning, match="without specifying any render mode"):
         assert road.render() is None
@@ -261,7 +263,7 @@ def test_without_a_mode_render_warns_and_nothing_is_imported():
 
 
 def test_the_metadata_has_the_modes_and_the_steps_in_a_second():
-    kind = type(parallel_env())
+    kind = type(parallel_env(seed=0))
     assert kind.metadata["render_modes"] == ["human", "rgb_array"]
     assert kind.metadata["render_fps"] == 1.0 / load_scenario("paper").time_step
     for form in (env, parallel_env):
@@ -283,7 +285,7 @@ def test_other_modes_and_views_are_refused(form):
 
 @pytest.mark.usefixtures("no_display")
 def test_a_window_without_a_display_is_one_error_that_changes_nothing():
-    road = parallel_env("paper", "human", view=SMALL)
+    road = parallel_env("paper", "human", view=SMALL, seed=0)
     before = road.simulator.snapshot()
     with pytest.raises(DisplayError, match="render_mode = 'human': no display for a window"):
         road.reset(seed=0)
@@ -296,7 +298,7 @@ def test_a_window_without_a_display_is_one_error_that_changes_nothing():
     [copy.deepcopy, lambda road: pickle.loads(pickle.dumps(road))],  # noqa: S301
 )
 def test_copies_go_on_with_their_own_road(duplicate):
-    road = parallel_env("dense", "rgb_array", view=SMALL)
+    road = parallel_env("dense", "rgb_array", view=SMALL, seed=0)
     road.reset(seed=0)
     for _ in range(5):
         road.step({agent: swerve(None) for agent in road.agents})
@@ -306,7 +308,7 @@ def test_copies_go_on_with_their_own_road(duplicate):
     assert np.array_equal(twin.render(), picture)
     twin.step({agent: swerve(None) for agent in twin.agents})
     assert np.array_equal(twin.render(), road.render())
-    shown = parallel_env("dense", "human", view=SMALL)
+    shown = parallel_env("dense", "human", view=SMALL, seed=0)
     fresh = duplicate(shown)
     shown.reset(seed=0)
     unseen = duplicate(shown)
@@ -321,8 +323,8 @@ def test_copies_go_on_with_their_own_road(duplicate):
 @pytest.mark.usefixtures("screenless")
 @pytest.mark.parametrize("way", ["close", "cross", "escape"])
 def test_after_the_window_is_closed_the_run_goes_on_unshown(frames, way):
-    road = parallel_env("paper", "human", view=SMALL, overrides={"num_agents": 2})
-    unseen = drive(parallel_env("paper", overrides={"num_agents": 2}), seed=0)
+    road = parallel_env("paper", "human", view=SMALL, overrides={"num_agents": 2}, seed=0)
+    unseen = drive(parallel_env("paper", overrides={"num_agents": 2}, seed=0), seed=0)
 
     shown = []
 
@@ -349,8 +351,8 @@ def test_after_the_window_is_closed_the_run_goes_on_unshown(frames, way):
 
 @pytest.mark.usefixtures("no_display")
 def test_a_chosen_road_of_the_torchrl_environment():
-    roads = LaneChangeEnv("dense", 3, render_mode="rgb_array", view=SMALL)
-    alone = LaneChangeEnv("dense", 1, first_road=1, render_mode="rgb_array", view=SMALL)
+    roads = LaneChangeEnv("dense", 3, render_mode="rgb_array", view=SMALL, seed=0)
+    alone = LaneChangeEnv("dense", 1, first_road=1, render_mode="rgb_array", view=SMALL, seed=0)
     seen = []
     for one, road in ((roads, 1), (alone, 0)):
         state = one.reset()
@@ -371,7 +373,7 @@ def test_a_chosen_road_of_the_torchrl_environment():
 
 
 def test_the_first_picture_of_an_episode_knows_nothing_of_the_last_one():
-    used = LaneChangeEnv("paper", render_mode="rgb_array", view=SMALL)
+    used = LaneChangeEnv("paper", render_mode="rgb_array", view=SMALL, seed=0)
     for seed in range(6):
         fresh = LaneChangeEnv("paper", seed=seed, render_mode="rgb_array", view=SMALL)
         used.set_seed(seed)
@@ -382,7 +384,9 @@ def test_the_first_picture_of_an_episode_knows_nothing_of_the_last_one():
 
 def test_the_torchrl_environment_shows_what_a_step_has_removed_and_the_actions(frames):
     overrides = {**BUSY, "num_agents": None, "horizon": None}
-    roads = LaneChangeEnv("dense", 2, render_mode="rgb_array", view=SMALL, overrides=overrides)
+    roads = LaneChangeEnv(
+        "dense", 2, render_mode="rgb_array", view=SMALL, overrides=overrides, seed=0
+    )
     state = roads.reset()
     ended = shown = acted = 0
     for _ in range(150):
@@ -399,7 +403,7 @@ def test_the_torchrl_environment_shows_what_a_step_has_removed_and_the_actions(f
 
 
 def test_a_reset_or_a_restored_state_of_a_road_is_seen():
-    roads = LaneChangeEnv("paper", 2, render_mode="rgb_array", view=SMALL)
+    roads = LaneChangeEnv("paper", 2, render_mode="rgb_array", view=SMALL, seed=0)
     roads.reset()
     start, snapshot = roads.render(1), roads.simulator.snapshot()
     roads.rollout(20, auto_reset=False, tensordict=roads.reset())
@@ -414,7 +418,7 @@ def test_a_reset_or_a_restored_state_of_a_road_is_seen():
 def test_the_torchrl_environment_has_the_same_bytes_whether_it_is_shown_or_not():
     states = []
     for mode in (None, "rgb_array"):
-        roads = LaneChangeEnv("dense", 2, render_mode=mode, view=SMALL)
+        roads = LaneChangeEnv("dense", 2, render_mode=mode, view=SMALL, seed=0)
         roads.set_seed(0)
         state = roads.reset()
         for _ in range(30):
@@ -434,7 +438,7 @@ def test_the_torchrl_environment_renders_arrays_alone():
 
 
 def test_a_copy_of_the_torchrl_environment_renders_its_own_roads():
-    roads = LaneChangeEnv("paper", 2, render_mode="rgb_array", view=SMALL)
+    roads = LaneChangeEnv("paper", 2, render_mode="rgb_array", view=SMALL, seed=0)
     roads.reset()
     twin = pickle.loads(pickle.dumps(roads))  # noqa: S301
     assert np.array_equal(twin.render(), roads.render())

@@ -27,7 +27,12 @@ def test_the_name_is_looked_for(monkeypatch):
 
 def rollout(device):
     env = LaneChangeEnv(
-        "dense", 2, device=device, overrides={"warmup": [20.0, 20.0]}, learned_followers=True
+        "dense",
+        2,
+        device=device,
+        overrides={"warmup": [20.0, 20.0]},
+        learned_followers=True,
+        seed=0,
     )
     return env.rollout(30, break_when_any_done=False)
 

@@ -8,7 +8,7 @@ from marl_lanes.traffic.machine.state import NONE
 
 
 def test_state_shows_every_vehicle_by_decreasing_position():
-    road = parallel_env("dense")
+    road = parallel_env("dense", seed=0)
     road.reset(seed=0)
     commanded = set()
     while road.agents:

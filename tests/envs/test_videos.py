@@ -72,7 +72,7 @@ def test_pettingzoos_recorder_writes_a_film(tmp_path, form):
 
 
 def test_torchrls_recorder_writes_a_film(tmp_path):
-    roads = LaneChangeEnv("dense", 2, render_mode="rgb_array", view={"size": SIZE})
+    roads = LaneChangeEnv("dense", 2, render_mode="rgb_array", view={"size": SIZE}, seed=0)
     logger = CSVLogger("road", log_dir=str(tmp_path))
     film = TransformedEnv(
         roads, Compose(PixelRenderTransform(road=1), VideoRecorder(logger, "one"))
@@ -87,7 +87,7 @@ def test_torchrls_recorder_writes_a_film(tmp_path):
 
 
 def test_pixels_agree_with_the_specs():
-    roads = LaneChangeEnv("dense", 2, render_mode="rgb_array", view={"size": SIZE})
+    roads = LaneChangeEnv("dense", 2, render_mode="rgb_array", view={"size": SIZE}, seed=0)
     film = TransformedEnv(roads, PixelRenderTransform(road=1))
     check_env_specs(film)
     last = film.rollout(3)[0, -1]["next", "pixels"]

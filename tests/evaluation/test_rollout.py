@@ -64,7 +64,7 @@ def test_a_seed_gives_the_same_maneuvers(driven):
 
 def test_maneuvers_are_those_of_the_environment(driven):
     """Road 0 against the PettingZoo environment: returns, outcomes, lives."""
-    env = parallel_env(ADVERSARIAL)
+    env = parallel_env(ADVERSARIAL, seed=0)
     observations, infos = env.reset(seed=3)
     returns = dict.fromkeys(env.possible_agents, 0.0)
     outcomes, aborts, steered = {}, {}, dict.fromkeys(env.possible_agents, 0)

@@ -12,7 +12,7 @@ WRONG = [
     ({"road": {"length": "long"}}, ["road.length = 'long': must be a valid number"]),
     ({"road": {"length": float("nan")}}, ["road.length = nan: must be a finite number"]),
     ({"road": {"length": float("inf")}}, ["road.length = inf: must be a finite number"]),
-    ({"road": 5}, ["road = 5: must be a valid dictionary"]),
+    ({"road": 5}, ["road = 5: must be a mapping of length, num_lanes"]),
     ({"warmup": [90.0, 60.0]}, ["warmup = ", "must not be above the second"]),
     ({"warmup": [1.0]}, ["warmup", "1"]),
     ({"followers": {"mix": {"neutral": 0.0}}}, ["followers.mix", "sum to more than 0"]),

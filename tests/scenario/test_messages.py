@@ -3,7 +3,7 @@
 import pytest
 from scenario.refusals import assert_refused, error_of
 
-from marl_lanes.scenario.messages import MAX_SHOWN, shown
+from marl_lanes.scenario.messages import MAX_PROBLEMS, MAX_SHOWN, shown, shown_name
 
 WRONG = [
     ({"colour": 1}, ["colour: unknown key; allowed: name, description, time_step"]),
@@ -32,6 +32,30 @@ def test_one_error_names_every_problem():
     assert message.startswith("scenario from a mapping: ")
     for part in ("road.length = 5.0", "time_step = 9.0", "colour: unknown key"):
         assert part in message
+
+
+def test_of_many_problems_the_first_are_named_and_the_others_counted():
+    message = error_of({"observation": {"features": ["wrong"] * 50_000}})
+    assert message.count("observation.features.") == MAX_PROBLEMS
+    assert message.endswith("; and 49,991 more")
+
+
+def test_each_value_is_short_and_on_one_line():
+    long = "two\nlines " * 10_000
+    message = error_of({"road": {"length": long}, "gap": {"rule": long}, long: 1, "time_step": {}})
+    assert "\n" not in message
+    assert len(message) < 1500
+    for part in ("road.length = 'two", "gap.rule = 'two", "'two\\nlines", "time_step = {}"):
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("a/b c.yaml", "a/b c.yaml"), ("a\nb", r"'a\nb'"), ("\x1b[2J", r"'\x1b[2J'"), (3, "3")],
+)
+def test_a_name_is_shown_as_it_is_if_it_can_be(name, text):
+    assert shown_name(name) == text
+    assert len(shown_name("x" * 10**6)) <= MAX_SHOWN
 
 
 class Unshowable:

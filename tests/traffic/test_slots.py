@@ -106,6 +106,7 @@ def test_an_agent_that_engages_can_be_a_follower_in_the_same_step(slots):
             "road": {"num_lanes": 5},
             "gap": {"rule": "kinematic", "minimum_gap": 0.0, "time_gap": 0.0},
         },
+        seed=0,
     )
     simulator.reset()
     places = {slots[0]: {"lane": 1, "position": 130.0}, slots[1]: {"lane": 3, "position": 100.0}}
@@ -123,7 +124,9 @@ def test_an_agent_that_engages_can_be_a_follower_in_the_same_step(slots):
 
 @pytest.mark.parametrize("slots", [(0, 1), (1, 0)])
 def test_if_two_agents_could_accept_one_gap_the_front_one_does(slots):
-    simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], "road": {"num_lanes": 5}})
+    simulator = Simulator(
+        "paper", overrides={"warmup": [0.0, 0.0], "road": {"num_lanes": 5}}, seed=0
+    )
     simulator.reset()
     places = {slots[0]: {"lane": 1, "position": 102.0}, slots[1]: {"lane": 3, "position": 100.0}}
     stage(simulator, *(places[slot] for slot in (0, 1)))
@@ -146,6 +149,7 @@ def test_two_agents_that_end_together_still_observe_each_other(slots):
             "num_agents": None,
             "horizon": 5.0,
         },
+        seed=0,
     )
     simulator.reset()
     places = {slots[0]: {"lane": 1, "position": 140.0}, slots[1]: {"lane": 3, "position": 100.0}}

@@ -55,7 +55,7 @@ def test_fast_is_the_default():
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_the_recipes_overrides_fit_the_scenario(recipe):
     config = typed(f"recipe={recipe}")
-    env = LaneChangeEnv(config.scenario, 1, overrides=config.training_overrides)
+    env = LaneChangeEnv(config.scenario, 1, overrides=config.training_overrides, seed=0)
     # Collecting never waits for an episode's end, the evaluation has one.
     assert env.scenario.num_agents is None
     assert env.scenario.horizon is None
@@ -194,10 +194,10 @@ def test_a_field_without_a_value_is_named(tmp_path):
     ):
         typed(resumed)
     path.write_text("seed: 0\nlerning_rate: [", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"^resume = .*run': its config.yaml is not readable"):
+    with pytest.raises(ConfigError, match=r"^resume = .*run': its config.yaml: not readable"):
         typed(resumed)
     path.write_text("[1, 2]", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"^resume = .*run': its config.yaml must be a mapping"):
+    with pytest.raises(ConfigError, match=r"^resume = .*run': its config.yaml: must be a mapping"):
         typed(resumed)
     with pytest.raises(ConfigError, match=r"^optimizer.final_rate = '\?\?\?': must be a valid"):
         typed("optimizer.final_rate='???'")

@@ -34,7 +34,7 @@ torch.set_num_threads(1)
 
 
 def worker_env(worker, seed=SEED):
-    scenario = LaneChangeEnv("paper", 1, overrides=BUSY).scenario
+    scenario = LaneChangeEnv("paper", 1, overrides=BUSY, seed=0).scenario
     return WorkerEnv(worker, scenario, NUM_ROADS // 2, seed=seed, learned_followers=False)
 
 

@@ -9,8 +9,8 @@ from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.trajectory.frames import FrameReader
 
 
-def started(scenario="paper", num_envs=1, **options):
-    simulator = Simulator(scenario, num_envs, **options)
+def started(scenario="paper", num_envs=1, *, seed=0, **options):
+    simulator = Simulator(scenario, num_envs, seed=seed, **options)
     simulator.reset()
     return simulator
 
@@ -166,7 +166,10 @@ def test_a_road_that_is_not_there_is_refused(road):
 def test_followers_with_a_policy_have_their_actions_and_terms():
     scenario = load_scenario("dense", {"followers": {"mix": {"mine": 1.0}}})
     simulator = Simulator(
-        scenario, 2, follower_policies={"mine": lambda seen: np.full(len(seen), 0.25)}
+        scenario,
+        2,
+        follower_policies={"mine": lambda seen: np.full(len(seen), 0.25)},
+        seed=0,
     )
     simulator.reset()
     reader = FrameReader(simulator)

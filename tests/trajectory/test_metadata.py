@@ -32,3 +32,9 @@ def test_it_comes_back():
 def test_other_metadata_is_refused(text, message):
     with pytest.raises(TrajectoryError, match=message):
         Metadata.loads(text)
+
+
+@pytest.mark.parametrize("name", ["format", "seed", "policy", "scenario"])
+def test_a_large_value_is_shown_short(name):
+    with pytest.raises(TrajectoryError, match=rf"^metadata: {name} = .{{1,80}}: must be"):
+        Metadata.loads(fields(**{name: ["x"] * 10**5}))

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
+from marl_lanes.scenario.messages import shown
+from marl_lanes.traffic.arguments import check_functions, read_numbers
 from marl_lanes.traffic.roles.follower import FOLLOWER
 
 FOLLOWER_COLUMNS = {feature.name: column for column, feature in enumerate(FOLLOWER.features)}
@@ -46,12 +48,13 @@ def register_follower(name: str, policy: FollowerPolicy) -> None:
         TypeError: the policy cannot be called.
     """
     taken = (*SCRIPTED, LEARNED)
-    if name in taken or not name.replace("-", "_").isidentifier() or not name.isascii():
+    is_name = isinstance(name, str) and name.isascii() and name.replace("-", "_").isidentifier()
+    if not is_name or name in taken:
         raise ValueError(
-            f"follower name {name!r}: must be letters, digits, _ and -, and none of {taken}"
+            f"follower name {shown(name)}: must be letters, digits, _ and -, and none of {taken}"
         )
     if not callable(policy):
-        raise TypeError(f"follower {name!r}: its policy must be callable, got {policy!r}")
+        raise TypeError(f"follower {name!r}: its policy must be callable, got {shown(policy)}")
     _registered[name] = policy
 
 
@@ -65,7 +68,9 @@ def choose_policies(
 
     Raises:
         ScenarioError: a name has no policy.
+        ValueError: ``given`` is no mapping of names to functions.
     """
+    check_functions("follower_policies", given)
     chosen: list[FollowerPolicy | None] = []
     for name in scenario.followers.external_names:
         policy = (given or {}).get(name, _registered.get(name))
@@ -90,18 +95,11 @@ def ask_policy(
     Raises:
         FollowerError: wrong shape or type, not finite, or out of the bounds of followers.external.
     """
-    count = len(observations)
-    returned = policy(observations)
+    returned = policy(observations.copy())
     try:
-        accelerations = np.asarray(returned, np.float64)
-    except (TypeError, ValueError) as error:
-        raise FollowerError(
-            f"follower {name!r}: returned {returned!r}, must be {count} numbers: {error}"
-        ) from None
-    if accelerations.shape != (count,):
-        raise FollowerError(
-            f"follower {name!r}: returned shape {accelerations.shape}, must be ({count},)"
-        )
+        accelerations = read_numbers("returned", returned, (len(observations),))
+    except ValueError as error:
+        raise FollowerError(f"follower {name!r}: {error}") from None
     (acceleration,) = FOLLOWER.act(scenario)
     low, high = acceleration.low, acceleration.high
     # The bounded output of a float32 network may exceed its bounds by rounding.

@@ -14,7 +14,9 @@ FREE = 2.0 * (1.0 - (20.0 / 30.0) ** 4)
 
 
 def simulator_of(**overrides):
-    simulator = Simulator("paper", overrides={"warmup": [0.0, 0.0], "gap": OPEN_GAP, **overrides})
+    simulator = Simulator(
+        "paper", overrides={"warmup": [0.0, 0.0], "gap": OPEN_GAP, **overrides}, seed=0
+    )
     simulator.reset()
     return simulator
 

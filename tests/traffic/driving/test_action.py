@@ -64,6 +64,7 @@ def count_collisions(guarded):
         100,
         overrides={**followers, "num_agents": 20, "gap": {"rule": "kinematic"}},
         follower_policies=policy,
+        seed=0,
     )
     simulator.reset()
     num_paired = 0

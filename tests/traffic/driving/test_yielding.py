@@ -16,7 +16,7 @@ FREE = 2.0 * (1.0 - (20.0 / 30.0) ** 4)
 def simulator_of(*, moves_over=True, num_lanes=5, **overrides):
     followers = {"cooperative": {"moves_over": moves_over}}
     fields = {"warmup": [0.0, 0.0], "road": {"num_lanes": num_lanes}, "followers": followers}
-    simulator = Simulator("paper", overrides=fields | overrides)
+    simulator = Simulator("paper", overrides=fields | overrides, seed=0)
     simulator.reset()
     return simulator
 

@@ -37,7 +37,7 @@ def test_a_departure_waits_for_room():
 
 def test_a_full_road_makes_departures_wait():
     overrides = {**NO_COMMANDS, "max_vehicles": 6}
-    simulator = Simulator("dense", 2, overrides=overrides)
+    simulator = Simulator("dense", 2, overrides=overrides, seed=0)
     simulator.reset()
     for _ in range(800):
         simulator.step()
@@ -101,8 +101,8 @@ def test_a_reset_starts_from_a_road_that_carries_traffic():
 
 def test_the_warm_up_is_as_long_as_the_scenario_says():
     """A longer warm-up has more vehicles, which are further along the road."""
-    short = Simulator("paper", 30, overrides={"warmup": [10.0, 10.0]})
-    long = Simulator("paper", 30, overrides={"warmup": [40.0, 40.0]})
+    short = Simulator("paper", 30, overrides={"warmup": [10.0, 10.0]}, seed=0)
+    long = Simulator("paper", 30, overrides={"warmup": [40.0, 40.0]}, seed=0)
     short.reset()
     long.reset()
     assert short.vehicles["position"][present(short)].max() < 250.0

@@ -11,7 +11,7 @@ from marl_lanes.traffic.simulator import Simulator
 def cut_in(form, **more):
     """Accelerations by a law at 25 m/s, 12 m behind a leader at the same speed: both cars."""
     drivers = {"drivers": {"car_following": form, **more}, "warmup": [0.0, 0.0]}
-    simulator = Simulator("paper", overrides=drivers)
+    simulator = Simulator("paper", overrides=drivers, seed=0)
     simulator.reset()
     cruising = {"lane": 1, "speed": 25.0, "desired_speed": 30.0}
     stage(
@@ -36,7 +36,7 @@ def test_after_a_cut_in_the_acc_model_brakes_less_than_the_idm():
 def test_the_acc_model_uses_the_leaders_acceleration_of_the_same_step():
     """The leader begins to brake in this step: its last acceleration was 0."""
     drivers = {"drivers": {"car_following": "acc"}, "warmup": [0.0, 0.0]}
-    simulator = Simulator("paper", overrides=drivers)
+    simulator = Simulator("paper", overrides=drivers, seed=0)
     simulator.reset()
     cars = [
         {"lane": 1, "position": 100.0, "speed": 20.0},
@@ -57,7 +57,7 @@ def test_the_acc_model_uses_the_leaders_acceleration_of_the_same_step():
 
 def test_behind_an_accelerating_leader_the_desired_speed_is_not_exceeded():
     drivers = {"drivers": {"car_following": "acc"}, "warmup": [0.0, 0.0]}
-    simulator = Simulator("paper", overrides=drivers)
+    simulator = Simulator("paper", overrides=drivers, seed=0)
     simulator.reset()
     stage(
         simulator,
@@ -73,7 +73,9 @@ def test_behind_an_accelerating_leader_the_desired_speed_is_not_exceeded():
 def test_in_equilibrium_the_acc_model_is_the_idm(form):
     """Steady following: gap (s0 + v T)/sqrt(1 - (v/v0)^4), where both laws give 0."""
     simulator = Simulator(
-        "paper", overrides={"drivers": {"car_following": form}, "warmup": [0.0, 0.0]}
+        "paper",
+        overrides={"drivers": {"car_following": form}, "warmup": [0.0, 0.0]},
+        seed=0,
     )
     simulator.reset()
     leader = {"lane": 1, "position": 300.0, "speed": 15.0, "desired_speed": 15.0}
@@ -102,6 +104,7 @@ def test_alone_on_the_road_a_driver_reaches_the_desired_speed(form):
             "road": {"length": 5000.0},
             "warmup": [700.0, 700.0],
         },
+        seed=0,
     )
     simulator.reset()
     cars = simulator.vehicles[0][simulator.vehicles[0]["id"] >= 0]

@@ -69,7 +69,7 @@ def test_streams_and_seeds_are_unrelated():
 
 
 def test_choice_follows_the_shares():
-    road = Simulator("paper").roads[0]
+    road = Simulator("paper", seed=0).roads[0]
     cumulative = np.array([0.2, 0.2, 0.9, 1.0])
     counts = np.bincount([choice(road, cumulative) for _ in range(10_000)], minlength=4)
     assert counts[1] == 0

@@ -10,7 +10,7 @@ from marl_lanes.traffic.simulator import Simulator
 
 
 def test_one_step_by_hand():
-    simulator = Simulator("paper")
+    simulator = Simulator("paper", seed=0)
     car = place(simulator, acceleration=2.0, yaw=0.1, yaw_rate=0.2, yaw_acceleration=0.5)
     advance(simulator, car, is_keeping=False)
     assert car["speed"] == pytest.approx(20.2)
@@ -23,7 +23,7 @@ def test_one_step_by_hand():
 
 
 def test_vehicles_stop_and_do_not_reverse():
-    simulator = Simulator("paper")
+    simulator = Simulator("paper", seed=0)
     car = place(simulator, speed=0.3, acceleration=-8.0, yaw=0.05, yaw_rate=0.01)
     advance(simulator, car)
     assert (car["speed"], car["position"], car["lateral_position"]) == (0.0, 0.0, 1.875)
@@ -31,7 +31,7 @@ def test_vehicles_stop_and_do_not_reverse():
 
 
 def test_the_yaw_rate_is_bounded_by_the_turning_radius():
-    simulator = Simulator("paper")
+    simulator = Simulator("paper", seed=0)
     for sign in (1.0, -1.0):
         car = place(simulator, speed=2.0, yaw_rate=sign * 0.1, yaw_acceleration=sign * 100.0)
         advance(simulator, car, is_keeping=False)

@@ -64,7 +64,7 @@ def test_braking_at_a_standstill_has_no_effect():
 
 
 def test_car_following_behind_a_stopped_leader_keeps_the_driver_stopped():
-    simulator = Simulator("interactive", overrides={"warmup": [0.0, 0.0]})
+    simulator = Simulator("interactive", overrides={"warmup": [0.0, 0.0]}, seed=0)
     simulator.reset()
     stage(
         simulator,

@@ -68,7 +68,7 @@ def noisy_actor(acting_device="cpu"):
     settings = ExplorationConfig(
         initial_sigma=0.4, final_sigma=0.1, annealing_transitions=200, longitudinal_factor=1.0
     )
-    env = LaneChangeEnv("paper", 1)
+    env = LaneChangeEnv("paper", 1, seed=0)
     network = make_network(env.scenario, "damped", [8])
     devices = torch.device("cpu"), torch.device(acting_device)
     return NoisyActor(settings, env, network, "changers", *devices), network

@@ -1,0 +1,101 @@
+"""What callers give, checked: whole numbers, flags, functions, arrays; refused in one line."""
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_lanes.scenario.messages import shown
+
+
+def check_whole(name: str, value: object, low: int, high: int) -> int:
+    """The value as an int.
+
+    Raises:
+        ValueError: it is no whole number from ``low`` to ``high``; a bool is none.
+    """
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_whole or not low <= int(value) <= high:  # type: ignore[call-overload]
+        last = high if high < 2**32 else f"2^{high.bit_length()} - 1"
+        raise ValueError(f"{name} = {shown(value)}: must be a whole number, {low} to {last}")
+    return int(value)  # type: ignore[call-overload, no-any-return]
+
+
+def check_flag(name: str, value: object) -> bool:
+    """The value as a bool.
+
+    Raises:
+        ValueError: it is neither True nor False.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} = {shown(value)}: must be True or False")
+    return bool(value)
+
+
+def check_functions(name: str, given: object) -> None:
+    """Refuse anything but None, or a mapping of names to functions.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if given is None:
+        return
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{name} = {shown(given)}: must be a mapping of names to functions")
+    for key, function in given.items():
+        if not isinstance(key, str) or not callable(function):
+            raise ValueError(
+                f"{name}[{shown(key)}] = {shown(function)}: must be a function, by its name"
+            )
+
+
+def read_numbers(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Real numbers as an array; not a copy where none is needed. They may be infinite or nan.
+
+    Args:
+        name: for the message.
+        given: integers or floats of at most 64 bits: an array, nested sequences, a tensor.
+        shape: that it must have.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    masked = sys.modules.get("numpy.ma")
+    if masked is not None and isinstance(given, masked.MaskedArray):
+        raise ValueError(f"{name}: must be ordinary numbers, is a masked array")
+    array = _as_array(name, given, shape)
+    if array.dtype.kind not in "fiu" or array.dtype.itemsize > 8:
+        raise ValueError(
+            f"{name} = {shown(given)}: must be real numbers of at most 64 bits, is of type "
+            f"{array.dtype}"
+        )
+    return array.astype(np.float64, copy=False)
+
+
+def read_mask(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Truth values as a contiguous array.
+
+    Raises:
+        ValueError: it has another shape, or values other than True and False.
+    """
+    array = _as_array(name, given, shape)
+    if array.dtype != np.bool_:
+        raise ValueError(
+            f"{name} = {shown(given)}: must be True or False, is of type {array.dtype}"
+        )
+    return np.ascontiguousarray(array)
+
+
+def _as_array(name: str, given: object, shape: tuple[int, ...]) -> NDArray[Any]:
+    try:
+        array = np.asarray(given)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(
+            f"{name} = {shown(given)}: must be an array of shape {shape}: {reason}"
+        ) from None
+    if array.shape != shape:
+        raise ValueError(f"{name}: shape {array.shape}, must be {shape}")
+    return array
