@@ -4,6 +4,8 @@
 # make trials - the tests that take minutes: what `make test` has a share of, whole
 # make test-lowest, make test-newest - the tests with the lowest and the newest versions that pyproject.toml allows,
 #                each in a virtual environment of its own: .venv-lowest, .venv-newest
+# make coverage - the lines of marl_lanes that the tests of `make test` run; kernels count where they are interpreted
+# make mutation - small faults put into naf/ and traffic/, and which of them the tests let pass: hours (ARGS="--share 0.1": less)
 # make figures - draw the figures of docs/ anew, in half a minute
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
 #                  pictures with highway-env's
@@ -17,10 +19,15 @@ ARGS ?=
 
 # A file of tests stays in one process, which shares its trainings; files with long tests are first.
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
+# What `coverage` runs with interpreted kernels: a test that simulates many roads would take minutes.
+INTERPRETED := -m "not (training or slow or long)" tests/traffic/test_golden.py tests/traffic/test_readout.py \
+	tests/traffic/test_parameters.py tests/traffic/driving/test_gap_seeking.py tests/traffic/flow/test_collisions.py \
+	tests/traffic/following/test_idm.py tests/traffic/machine tests/traffic/road/test_geometry.py \
+	tests/traffic/road/test_motion.py tests/traffic/roles
 # What stands before the tests of `check` and `test`, side by side.
 MAKEFLAGS += --jobs=2
 
-.PHONY: train check test test-lowest test-newest trials lint types kernels figures benchmark clean
+.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels figures benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -44,6 +51,19 @@ test-lowest test-newest: test-%: .venv-%/installed
 trials: kernels
 	$(PYTEST) --long -m long
 
+# All tests with compiled kernels, whose lines do not count; then those of the traffic that are
+# quick enough where kernels are interpreted.
+coverage: kernels
+	$(BIN)/python -m coverage erase
+	$(BIN)/python -m coverage run -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest --numprocesses 0 $(INTERPRETED)
+	$(BIN)/python -m coverage combine
+	$(BIN)/python -m coverage report
+
+mutation: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[mutation]'
+	$(BIN)/python tests/mutation.py $(ARGS)
+
 types: $(VENV)/installed
 	$(BIN)/mypy
 
@@ -61,6 +81,8 @@ figures: $(VENV)/installed
 		--figure docs/figures/followers.svg --figure docs/figures/followers.png
 	$(BIN)/marl-lanes record tuned-cascade --scenario yielding --follow changer_7 --start 39 --seconds 9 \
 		--span 150 --size 800x500 --out docs/figures/highway.gif
+	$(BIN)/python benchmarks/convergence.py \
+		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
@@ -77,4 +99,4 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv-lowest .venv-newest build dist .coverage .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf .venv-lowest .venv-newest build dist .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

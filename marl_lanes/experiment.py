@@ -15,11 +15,14 @@ from marl_lanes.evaluation.tables import format_summary
 from marl_lanes.extras import need
 from marl_lanes.files import write_text
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
+from marl_lanes.rendering.encoding import FilmError
 from marl_lanes.report.conclusion import conclude
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario.followers import LEARNED
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.collectors import WorkerError
-from marl_lanes.training.config import ChangersConfig, ConfigError, write_config
+from marl_lanes.training.config import ChangersConfig, ConfigError
+from marl_lanes.training.inputs import LEARNED_FILE, check_inputs, keep_inputs, read_scenario
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import COMMAND_FILE, check_empty
 from marl_lanes.training.timing import format_split
@@ -34,7 +37,7 @@ learns and acts. Torch's generator is seeded before."""
 def start(
     config: ChangersConfig, make_algorithm: MakeAlgorithm, command: str
 ) -> tuple[Learner, Scenario]:
-    """Begin a new run, or resume one. After an error no file is left behind.
+    """Begin a new run, or resume one from its folder alone. After an error no file is left behind.
 
     Args:
         config: of the run.
@@ -48,7 +51,9 @@ def start(
         for package in ("pygame", "imageio_ffmpeg"):
             need(package, "view")
     torch.set_num_threads(config.num_threads)
-    scenario = load_scenario(config.scenario)
+    folder = Path(config.output)
+    is_new = config.resume is None
+    scenario = load_scenario(config.scenario) if is_new else read_scenario(folder)
     check_episodes(scenario)
     env = LaneChangeEnv(
         scenario,
@@ -56,12 +61,14 @@ def start(
         seed=config.seed,
         overrides=config.training_overrides,
     )
+    files = _find_files(scenario, env.scenario)
+    if is_new:
+        check_empty(folder)
+    else:
+        check_inputs(folder, files)
     if env.scenario.command.probability == 0.0:
         raise ConfigError("training_overrides: command.probability = 0: must be above 0")
     torch.manual_seed(config.seed)
-    folder = Path(config.output)
-    if config.resume is None:
-        check_empty(folder)
     device = torch.device(config.device)
     acting_device = device if config.collector.kind == "single" else CPU
     learner = Learner(
@@ -70,27 +77,46 @@ def start(
         make_algorithm(env, scenario, device, acting_device),
         make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
     )
+
+    def keep() -> None:
+        write_text(folder / COMMAND_FILE, f"{command}\n")
+        keep_inputs(folder, config, scenario, files)
+
     try:
-        if config.resume is not None:
-            learner.resume(folder)
+        if is_new:
+            learner.begin(folder, keep)
         else:
-            learner.begin(folder)
-            write_config(learner.run.config, config)
-            write_text(learner.run.path / COMMAND_FILE, f"{command}\n")
+            learner.resume(folder)
     except BaseException:
         learner.collector.shutdown()
         raise
-    return learner, scenario
+    return learner, read_scenario(folder)
+
+
+def _find_files(scenario: Scenario, training_scenario: Scenario) -> dict[str, Path]:
+    """The files that a run reads besides its scenario, by the names of their copies."""
+    checkpoint = scenario.followers.learned.checkpoint
+    if training_scenario.followers.learned.checkpoint != checkpoint:
+        raise ConfigError(
+            "training_overrides: followers.learned.checkpoint: must be set in the scenario"
+        )
+    mixes = (scenario.followers.external_names, training_scenario.followers.external_names)
+    is_read = checkpoint is not None and any(LEARNED in names for names in mixes)
+    return {LEARNED_FILE: Path(str(checkpoint))} if is_read else {}
 
 
 def run(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:
-    """Train until the end or an interruption, and report. If a worker dies, the program ends."""
+    """Train until the end or an interruption, and report.
+
+    If a worker dies or the disk is full, the program ends.
+    """
     try:
-        _train(learner, config, scenario)
-    except WorkerError as error:
+        try:
+            _train(learner, config, scenario)
+        finally:
+            learner.close()
+    except (WorkerError, OSError, FilmError) as error:
         sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
-    finally:
-        learner.close()
 
 
 def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:

@@ -8,8 +8,10 @@ With rounds=0 one follower learns against the changer. With rounds=K followers a
 take turns, K times; the changer learns against all followers so far.
 """
 
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -18,7 +20,7 @@ import torch
 from pydantic import Field, field_validator
 from tqdm import tqdm
 
-from marl_lanes import LaneChangeEnv, Scenario, ScenarioError, load_scenario
+from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
 from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
 from marl_lanes.evaluation.driving import Policy
@@ -36,26 +38,28 @@ from marl_lanes.training.algorithms.naf import NAF, NAFConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
 from marl_lanes.training.command_line import read_command_line
 from marl_lanes.training.config import (
-    CONFIG_FILE,
     ConfigError,
     CountOrZero,
     EvaluationConfig,
     ProgramConfig,
     Widths,
     read_config,
-    write_config,
 )
+from marl_lanes.training.inputs import SUMS_FILE, check_inputs, keep_inputs, read_scenario
 from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.run_folder import (
     FINAL_MODEL,
     STATE_FILE,
     TIMES_FILE,
     check_empty,
+    lock_run,
 )
 from marl_lanes.training.transitions import LivePolicy
 
 MODEL = f"checkpoints/{FINAL_MODEL}"
 """The trained policy in the folder of a phase."""
+CHANGER_FILE = "initial_changer.pt"
+"""A copy of the changer to learn against, in the run folder."""
 FOLDER = Path(__file__).parent
 
 
@@ -149,16 +153,39 @@ class Run:
         self.config = config
         self.output = Path(config.output)
         self.device = torch.device(config.device)
+        is_new = config.resume is None
         self.changer = Path(config.changer)
         objective = {"followers": {"learned": {"objective": config.objective}}}
-        self.scenario = load_scenario(config.scenario, objective)
+        self.scenario = (
+            load_scenario(config.scenario, objective) if is_new else read_scenario(self.output)
+        )
         check_episodes(self.scenario)
         self.training_scenario = load_scenario(self.scenario, config.training_overrides)
         if self.training_scenario.command.probability == 0.0:
             raise ConfigError("training_overrides: command.probability = 0: must be above 0")
-        load_checkpoint(self.changer, self.scenario)
-        if config.resume is None:
+        if is_new:
             check_empty(self.output)
+        else:
+            check_inputs(self.output, [CHANGER_FILE])
+        self._load_changer(self.changer)
+
+    @property
+    def _kept_changer(self) -> Path:
+        return self.output / CHANGER_FILE
+
+    def _load_changer(self, path: Path) -> NAFNetwork:
+        """A changer's network. That to learn against is read from the run's copy once it is there.
+
+        Raises:
+            CheckpointError: it cannot be read, or does not fit the scenario.
+        """
+        if path == self.changer and self._kept_changer.exists():
+            path = self._kept_changer
+        return load_checkpoint(path, self.scenario).network
+
+    def _keep_inputs(self) -> None:
+        files = {CHANGER_FILE: self.changer}
+        self.scenario = keep_inputs(self.output, self.config, self.scenario, files)
 
     def train_one_follower(self) -> dict[str, Any] | None:
         """A follower, and its comparison with the scripted ones; None when interrupted."""
@@ -176,6 +203,12 @@ class Run:
 
     def take_turns(self) -> dict[str, Any] | None:
         """The changer hardened against its followers, and its report; None when interrupted."""
+        with closing(lock_run(self.output)):
+            if self.config.resume is None:
+                check_empty(self.output)
+            return self._take_turns()
+
+    def _take_turns(self) -> dict[str, Any] | None:
         changer, pool = self.changer, dict[str, FollowerPolicy]()
         for turn in range(self.config.rounds):
             folder = self.output / f"round_{turn + 1}"
@@ -201,7 +234,7 @@ class Run:
     def _train_follower(self, folder: Path, changer: Path, *, phase: int) -> bool:
         """Train a follower of its own against the frozen changer."""
         config = self.config.follower
-        driver = load_checkpoint(changer, self.scenario).network
+        driver = self._load_changer(changer)
         scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
 
         def make() -> Learner:
@@ -250,7 +283,7 @@ class Run:
                 overrides=mix,
                 follower_policies=pool,
             )
-            network = load_checkpoint(changer, self.scenario).network
+            network = self._load_changer(changer)
             algorithm = NAF(config, env, network, device=self.device, acting_device=self.device)
             return Learner(config, env, algorithm)
 
@@ -268,12 +301,17 @@ class Run:
         if (folder / TIMES_FILE).exists():
             return True
         learner = make()
-        if (folder / STATE_FILE).exists():
+        is_begun = (folder / STATE_FILE).exists()
+        if folder == self.output:
+            is_begun |= self.config.resume is not None
+        elif not is_begun:
+            # What a phase has left that was killed before its first training state.
+            shutil.rmtree(folder, ignore_errors=True)
+        if is_begun:
             learner.resume(folder)
         else:
-            learner.begin(folder)
-        if not (self.output / CONFIG_FILE).exists():
-            write_config(self.output / CONFIG_FILE, self.config)
+            is_first = not (self.output / SUMS_FILE).exists()
+            learner.begin(folder, self._keep_inputs if is_first else None)
         print(f"{folder}:", file=sys.stderr)
         is_complete = learner.train(evaluate_model)
         learner.close()
@@ -293,9 +331,7 @@ class Run:
         policies: Mapping[str, FollowerPolicy] | None = None,
     ) -> dict[str, Any]:
         """Every changer against every kind of follower."""
-        networks = {
-            label: load_checkpoint(path, self.scenario).network for label, path in changers.items()
-        }
+        networks = {label: self._load_changer(path) for label, path in changers.items()}
         number = settings.final_num_maneuvers
         total = number * len(changers) * len(followers)
         with tqdm(total=total, unit="maneuver", desc="evaluating") as bar:

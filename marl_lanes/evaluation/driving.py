@@ -11,7 +11,7 @@ Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 """Observations of N acting agents, (N, F), to their actions, (N, D)."""
 
 
-def drive(simulator: Simulator, policy: Policy) -> Iterator[None]:
+def drive(simulator: Simulator, policy: Policy, *, needs_agents: bool = False) -> Iterator[None]:
     """Step all roads without end, with the policy's actions.
 
     The policy is asked only when the next step is asked for, so that what reads the roads after a
@@ -20,13 +20,22 @@ def drive(simulator: Simulator, policy: Policy) -> Iterator[None]:
     Args:
         simulator: that has been reset.
         policy: for every agent whose action is used: it steers, or waits if actions are (N, 2).
+        needs_agents: whether it is an error if no agent is live for too long.
 
     Yields:
         after every step.
+
+    Raises:
+        ScenarioError: no agent is live for too long (``Simulator.check_wait``).
     """
+    num_idle = 0
     actions = np.zeros((simulator.num_envs, simulator.num_slots, simulator.num_actions))
     while True:
-        acting = simulator.is_acting
+        masks = simulator.masks
+        num_idle = 0 if masks.live.any() else num_idle + 1
+        if needs_agents:
+            simulator.check_wait(num_idle)
+        acting = masks.acting
         actions.fill(0.0)
         if acting.any():
             actions[acting] = policy(simulator.state.observations[acting])

@@ -160,7 +160,7 @@ def record_road(
     last_step = inf if last_time is None else round(last_time / scenario.time_step, 6)
     blocks: list[Rows] = []
     recorder = RoadRecorder(simulator, blocks.append)
-    for _ in drive(simulator, policy):
+    for _ in drive(simulator, policy, needs_agents=last_time is None):
         recorder.advance()
         if recorder.is_over or simulator.roads["step"][0] >= last_step:
             break

@@ -299,8 +299,9 @@ def run_maneuvers(
         progress: called after every step with the number of finished commands.
 
     Raises:
-        ScenarioError: its episodes have no end, no commands, or end before the first command; or a
-            disposition of its followers has no policy.
+        ScenarioError: its episodes have no end, no commands, or end before the first command; no
+            command comes in a day of simulated time; or a disposition of its followers has no
+            policy.
         CheckpointError: the checkpoint of the learned followers cannot be read or does not fit.
         ValueError: ``num_maneuvers`` is below 1, or they do not fit in memory.
     """
@@ -316,7 +317,7 @@ def run_maneuvers(
     recorder = _Recorder(simulator)
     see = None if observe is None else observe(simulator)
     recorder.before()
-    for _ in drive(simulator, policy):
+    for _ in drive(simulator, policy, needs_agents=True):
         recorder.after()
         if see is not None:
             see()

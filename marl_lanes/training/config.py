@@ -277,19 +277,6 @@ def read_config(kind: type[Config], fields: Mapping[str, Any]) -> Config:
     return validate(kind, stored, f"{origin}its {CONFIG_FILE}: ")
 
 
-def read_scenario_name(folder: Path) -> str:
-    """Name or file of a run's scenario, from the run's configuration.
-
-    Raises:
-        ConfigError: the folder is not one of a run, or its configuration names no scenario.
-    """
-    origin = f"run {folder}: "
-    name = _read_stored(folder, origin).get("scenario")
-    if not isinstance(name, str):
-        raise ConfigError(f"{origin}its {CONFIG_FILE}: scenario = {shown(name)}: must be a name")
-    return name
-
-
 def _read_stored(folder: Path, origin: str) -> dict[str, Any]:
     """The fields of a run's configuration as they are; ``origin`` begins every message."""
     path = folder / CONFIG_FILE

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.extras import need
 from marl_lanes.files import write_json
-from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
@@ -31,7 +31,6 @@ from marl_lanes.training.run_folder import (
     FINAL_MODEL,
     STATE_FILE,
     RunFolder,
-    check_empty,
 )
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
 from marl_lanes.training.transitions import finished_maneuvers, live_transitions
@@ -117,44 +116,65 @@ class Learner:
         size = self.memory["bytes_per_stored_transition"]
         return Replay(self.config.replay, folder / BUFFER_FOLDER, size, self.algorithm.device)
 
-    def _open(self, folder: Path, until: int | None = None) -> RunFolder:
-        evaluated = self.config.evaluation.metrics
-        return RunFolder(folder, self.algorithm.columns, evaluated=evaluated, until=until)
+    def begin(self, folder: Path, keep_inputs: Callable[[], object] | None = None) -> None:
+        """Start in a new or empty folder, and write the first training state. An error empties it.
 
-    def begin(self, folder: Path) -> None:
-        """Start in a new or empty folder.
+        Args:
+            folder: of the run.
+            keep_inputs: writes what a resumed run needs besides, before the training state.
 
         Raises:
-            ConfigError: it holds something, or its disk is too small for the replay buffer.
+            ConfigError: it holds something, another process is at work in it, or its disk is too
+                small for the replay buffer.
+            OSError: it cannot be written.
         """
-        check_empty(folder)
-        self.replay = self._make_replay(folder)
-        self.run = self._open(folder)
-        self.save()
+        evaluated = self.config.evaluation.metrics
+        self.run = RunFolder(folder, self.algorithm.columns, evaluated=evaluated)
+        try:
+            if keep_inputs is not None:
+                keep_inputs()
+            self.replay = self._make_replay(folder)
+            self.save()
+        except BaseException:
+            self.run.discard()
+            raise
 
     def resume(self, folder: Path) -> None:
         """Go on from the training state in the folder.
 
         Raises:
-            CheckpointError: there is none, or it cannot be read.
+            CheckpointError: there is none, or it is damaged, or of another run.
+            ConfigError: another process is at work in the folder.
         """
-        content = read_state(folder / STATE_FILE)
-        self.counters.update(content["counters"])
+        path = folder / STATE_FILE
+        content = read_state(path)
+        counters, extents = content.get("counters"), content.get("tables")
+        if not isinstance(counters, dict) or not isinstance(extents, dict):
+            raise CheckpointError(f"training state {path}: counters and tables must be there")
+        self.counters.update(counters)
+        self.run = RunFolder(
+            folder,
+            self.algorithm.columns,
+            evaluated=self.config.evaluation.metrics,
+            extents=extents,
+            until=self.transitions,
+        )
         self.replay = self._make_replay(folder)
         restore_state(
+            path,
             content,
             loss=self.algorithm.loss,
             optimizer=self.algorithm.optimizer,
             replay=self.replay,
             collector=self.collector,
         )
-        self.run = self._open(folder, until=self.transitions)
 
     def save(self) -> None:
         """Write the training state."""
         save_state(
             self.run.state,
             counters=dict(self.counters),
+            tables=self.run.take_extents(),
             loss=self.algorithm.loss,
             optimizer=self.algorithm.optimizer,
             replay=self.replay,

@@ -126,7 +126,9 @@ def turns(program, tmp_path_factory):
     return run_here(program, prepare(tmp_path_factory.mktemp("turns")), "rounds=2")
 
 
+INPUTS = {"config.yaml", "scenario.yaml", "initial_changer.pt", "SHA256SUMS", ".lock"}
 PHASE_FILES = {
+    ".lock",
     "metrics.csv",
     "maneuvers.csv",
     "evaluations.csv",
@@ -140,7 +142,7 @@ PHASE_FILES = {
 
 def test_a_followers_run_folder_is_complete(single):
     run, _ = single
-    assert names(run) == {*PHASE_FILES, "config.yaml", "evaluation.json"}
+    assert names(run) == {*PHASE_FILES, *INPUTS, "evaluation.json"}
     recorded = read_trajectory(run / "trajectories" / "final.parquet")
     # The changer drives among followers that learn.
     assert recorded.metadata.policy == "changer.pt"
@@ -185,7 +187,7 @@ def test_the_follower_has_learned_and_drives(single, monkeypatch):
 
 def test_turns_give_a_pool_a_hardened_changer_and_a_report(turns):
     run, out = turns
-    assert names(run) == {"config.yaml", "round_1", "round_2", "pool", "changer.pt", "report.json"}
+    assert names(run) == {*INPUTS, "round_1", "round_2", "pool", "changer.pt", "report.json"}
     for number in (1, 2):
         assert names(run / f"round_{number}") == {"follower", "changer"}
         assert names(run / f"round_{number}" / "follower") == PHASE_FILES
@@ -274,6 +276,10 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, turns, tmp_pa
     assert "resume=run" in out
     assert not (run / "round_2").exists()
     stamp = (run / "round_1" / "follower" / "resume.pt").stat().st_mtime_ns
+    # It goes on from its folder alone; what a phase left that was killed at its beginning is gone.
+    (tmp_path / "busy.yaml").unlink()
+    save_checkpoint(tmp_path / "changer.pt", make_network(PAPER, "damped", [8]), "busy", 0)
+    (run / "round_2" / "follower" / "checkpoints").mkdir(parents=True)
     with contextlib.chdir(tmp_path):
         program.main(["resume=run"])
     assert (run / "round_1" / "follower" / "resume.pt").stat().st_mtime_ns == stamp

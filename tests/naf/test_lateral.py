@@ -66,6 +66,20 @@ def test_initial_damped_mu():
     torch.testing.assert_close(found, torch.tensor(expected), rtol=0.05, atol=1e-4)
 
 
+def test_beyond_the_centre_the_damped_mu_rises_to_its_upper_bounds():
+    mu = make_network("damped").mu
+    observation = torch.stack([state(lateral_deviation=deviation) for deviation in (-0.5, -1.0)])
+    normalised = (observation - torch.tensor(OFFSETS)) / torch.tensor(SCALES)
+    demands = [((1.4 + share) ** 3 * -share / 22, share) for share in (0.5, 1.0)]
+    limits = [0.17 + share * (mu.bound - 0.17) for _, share in demands]
+    expected = [
+        limit * math.tanh(demand / limit)
+        for (demand, _), limit in zip(demands, limits, strict=True)
+    ]
+    found = mu(observation, normalised).squeeze(-1)
+    torch.testing.assert_close(found, torch.tensor(expected), rtol=0.02, atol=0)
+
+
 def cascade(speed, deviation, yaw, turning, gains):
     """The cascade in plain numbers."""
     speed = max(speed, 1.0)
@@ -109,6 +123,9 @@ def test_the_cascade_says_exactly_zero_where_little_is_to_be_gained():
     expected = torch.tensor([0.0, 0.995, -0.995, 1.0, -1.0])
     torch.testing.assert_close(slope, expected, atol=1e-3, rtol=0)
     torch.testing.assert_close(found[3:], torch.tensor([1e-4, -1e-4]), rtol=0.1, atol=0)
+    # Without a threshold it is the sign of the action.
+    _, slope = steer_by_cascade(*columns, turning, gains._replace(threshold=0.0))
+    assert slope.flatten().tolist()[1:] == [1.0, -1.0, 1.0, -1.0]
 
 
 def test_the_cascade_begins_with_the_tuned_gains():

@@ -62,18 +62,27 @@ def test_group_keys_and_mask():
     torch.testing.assert_close(loss(data)["loss"], (each * error[mask]).sum() / each.sum())
 
 
-def test_truncation_bootstraps_and_termination_does_not():
-    loss = make_loss().make_value_estimator(gamma=0.9)
+def set_values(loss, value, target):
+    """Make V the same in all states."""
     with torch.no_grad():
-        for params, value in (
-            (loss.value_network_params, 2.0),
-            (loss.target_value_network_params, -3.0),
+        for params, constant in (
+            (loss.value_network_params, value),
+            (loss.target_value_network_params, target),
         ):
             params["value"].apply_(lambda p: p.zero_())
-            params["value", "bias_1"].fill_(value)
+            params["value", "bias_1"].fill_(constant)
+
+
+def set_greedy_action(loss, data):
+    greedy = loss.value_network(data.select("observation"))["greedy_action"]
+    data["action"] = greedy.detach()
+
+
+def test_truncation_bootstraps_and_termination_does_not():
+    loss = make_loss().make_value_estimator(gamma=0.9)
+    set_values(loss, 2.0, target=-3.0)
     data = make_data(3)
-    greedy = loss.value_network(data.select("observation"))["greedy_action"].detach()
-    data["action"] = greedy  # Q(s, a) = V(s) = 2
+    set_greedy_action(loss, data)  # Q(s, a) = V(s) = 2
     data["next", "reward"] = torch.full((3, 1), 0.5)
     data["next", "terminated"] = torch.tensor([[False], [False], [True]])
     data["next", "truncated"] = torch.tensor([[False], [True], [False]])
@@ -242,3 +251,42 @@ def test_steps_that_span_several_transitions_are_discounted_as_such():
     torch.testing.assert_close(loss(data)["loss"], one)
     data["steps_to_next_obs"] += 1
     assert not torch.isclose(loss(data)["loss"], one)
+
+
+def test_td_lambda_mixes_the_returns_of_all_lengths():
+    loss = make_loss().make_value_estimator(ValueEstimators.TDLambda, gamma=0.5, lmbda=0.5)
+    set_values(loss, 2.0, target=4.0)
+    data = make_data(1, 2)
+    set_greedy_action(loss, data)
+    data["next", "reward"] = torch.tensor([[[1.0], [3.0]]])
+    data["next", "done"] = torch.tensor([[[False], [True]]])
+    loss(data)
+    last = 3.0 + 0.5 * 4.0
+    first = 1.0 + 0.5 * (0.5 * 4.0 + 0.5 * last)
+    expected = torch.tensor([[(2.0 - first) ** 2, (2.0 - last) ** 2]])
+    torch.testing.assert_close(data["td_error"], expected)
+
+
+def test_rewards_are_standardised_where_the_estimator_says_so():
+    loss = make_loss()
+    loss.make_value_estimator(ValueEstimators.TD0, gamma=0.5, average_rewards=True)
+    set_values(loss, 2.0, target=4.0)
+    data = make_data(2)
+    set_greedy_action(loss, data)
+    data["next", "reward"] = torch.tensor([[1.0], [3.0]])  # 2 -+ 1, deviation sqrt(2)
+    loss(data)
+    torch.testing.assert_close(data["td_error"], torch.tensor([0.5, 0.5]))
+
+
+def test_a_reward_of_another_shape_is_refused():
+    data = make_data()
+    data["next", "reward"] = data["next", "reward"].squeeze(-1)
+    with pytest.raises(RuntimeError, match="must share a unique shape"):
+        make_loss()(data)
+
+
+def test_priorities_are_written_into_transitions_that_have_some():
+    data = make_data()
+    data["td_error"] = torch.zeros(8)
+    make_loss()(data.lock_())
+    assert (data["td_error"] > 0).all()

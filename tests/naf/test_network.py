@@ -330,9 +330,10 @@ def test_more_errors():
         NAFNetwork(PAPER, [0.1], [0.5], mu="paper")
     with pytest.raises(ValueError, match="different names"):
         NAFNetwork(["x", "x"], [-1.0], [1.0], mu="mlp")
+    assert NAFNetwork(PAPER, [-1.0], [1.0]).config["hidden_sizes"] == [64, 64]
     network = make_network()
     with pytest.raises(ValueError, match="expected 6 features, got 1"):
-        network.max_value(torch.zeros(4, 1))
+        network.max_value(torch.zeros(4, 3, 1))
     with pytest.raises(ValueError, match="expected actions of shape"):
         call(network, make_observation(4), torch.zeros(4))
 

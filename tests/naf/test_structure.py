@@ -28,6 +28,7 @@ def test_a_column_that_is_needed_and_missing_is_named():
     with pytest.raises(ValueError, match=message):
         Ratio("ratio", ["yaw", "speed"])
     assert Mu("plain", []).columns == []
+    assert Mu("plain", []).inside_box
 
 
 def test_the_slope_is_the_sign_of_the_action():

@@ -12,14 +12,14 @@ from marl_lanes.naf.joined import join_parameters
 from marl_lanes.naf.updater import ForeachSoftUpdate
 
 
-@pytest.mark.parametrize("is_joined", [False, True])
+@pytest.mark.parametrize("num_joined", [0, 2, None])
 @pytest.mark.parametrize("rate", [{"tau": 0.02}, {"eps": 0.9}, {"tau": 1.0 / 3.0}])
-def test_it_gives_what_soft_update_gives(rate, is_joined):
+def test_it_gives_what_soft_update_gives(rate, num_joined):
     network = make_network()
     other = NAFLoss(deepcopy(network))
-    if is_joined:
+    if num_joined != 0:
         for part in (network.value, network.mu):
-            join_parameters(list(part.parameters()))
+            join_parameters(list(part.parameters())[:num_joined])
     loss = NAFLoss(network)
     other.load_state_dict(loss.state_dict())
     ours, theirs = ForeachSoftUpdate(loss, **rate), SoftUpdate(other, **rate)

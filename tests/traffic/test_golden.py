@@ -48,3 +48,8 @@ def test_interpreted_kernels_give_the_same_trajectories():
     found = json.loads(result.stdout)
     for name in names:
         assert_recorded(found[name], RECORDED["short"][name])
+
+
+@pytest.mark.parametrize("name", golden.SCENARIOS)
+def test_short_trajectories_are_those_recorded(name):
+    assert_recorded(golden.record(name, **golden.SHORT), RECORDED["short"][name])

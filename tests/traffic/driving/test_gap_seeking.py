@@ -165,3 +165,18 @@ def test_in_dense_traffic_waiting_drivers_find_gaps_without_hard_braking():
     assert outcomes.count(Outcome.MISSED) <= 12
     assert outcomes.count(Outcome.COMPLETED) >= 388
     assert hardest < 4.5
+
+
+@pytest.mark.parametrize("form", ["max", "sum", "acc"])
+@pytest.mark.parametrize("phase", [Phase.WAITING, Phase.ENGAGED])
+@pytest.mark.parametrize("places", [(230.0,), (150.0,), (230.0, 150.0)])
+def test_where_no_gap_is_wide_enough_for_a_driver_the_acceleration_is_finite(form, phase, places):
+    """Drivers three times as fast as they wish accept no gap: the windows are infinitely far."""
+    hasty = {"desired_speed": 8.0}
+    acceleration = waiting(
+        *({**there(place, 24.0), **hasty} for place in places),
+        own={**hasty, "speed": 24.0},
+        phase=phase,
+        drivers={"car_following": form},
+    )
+    assert -8.0 <= acceleration <= 2.0
