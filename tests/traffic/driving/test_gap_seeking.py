@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from staging import command, damped_actions, stage
 
-from marl_lanes.traffic.driving.gap_seeking import travel_time
+from marl_lanes.scenario import load_scenario
+from marl_lanes.traffic.driving.gap_seeking import needed_gap, travel_time
+from marl_lanes.traffic.machine.compiled import on_columns
 from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.traffic.simulator import Simulator
 
 NEVER = {"gap": {"minimum_gap": 5000.0}}
@@ -165,3 +168,11 @@ def test_in_dense_traffic_waiting_drivers_find_gaps_without_hard_braking():
     assert outcomes.count(Outcome.MISSED) <= 12
     assert outcomes.count(Outcome.COMPLETED) >= 388
     assert hardest < 4.5
+
+
+@pytest.mark.parametrize(("closing", "gap"), [(-4.0, 10.0), (0.0, 10.0), (0.5, 10.03125)])
+def test_the_kinematic_gap_by_hand(closing, gap):
+    """d_min + 0.4 s * 20 m/s, and closing^2/(2 * 4 m/s^2)."""
+    scenario = load_scenario("paper", {"gap": {"rule": "kinematic"}})
+    constants = make_parameters(scenario).constants.view(np.recarray)[0]
+    assert on_columns(needed_gap)(20.0, closing, 30.0, None, constants) == pytest.approx(gap)
