@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from staging import command, damped_actions, stage
 
-from marl_lanes.traffic.driving.gap_seeking import aim_at, travel_time
-from marl_lanes.traffic.machine.compiled import compiled
+from marl_lanes.scenario import load_scenario
+from marl_lanes.traffic.driving.gap_seeking import aim_at, needed_gap, travel_time
+from marl_lanes.traffic.machine.compiled import compiled, on_columns
 from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.traffic.simulator import Simulator
 
 NEVER = {"gap": {"minimum_gap": 5000.0}}
@@ -201,3 +203,11 @@ def test_without_a_gap_wide_enough_the_aim_is_away_from_who_needs_it(front, rear
     order = simulator.state.order[0]
     _, way, found = aims(simulator.vehicles[0], front, rear, order, profiles, constants)
     assert (way, found) == (math.inf, aim)
+
+
+@pytest.mark.parametrize(("closing", "gap"), [(-4.0, 10.0), (0.0, 10.0), (0.5, 10.03125)])
+def test_the_kinematic_gap_by_hand(closing, gap):
+    """d_min + 0.4 s * 20 m/s, and closing^2/(2 * 4 m/s^2)."""
+    scenario = load_scenario("paper", {"gap": {"rule": "kinematic"}})
+    constants = make_parameters(scenario).constants.view(np.recarray)[0]
+    assert on_columns(needed_gap)(20.0, closing, 30.0, None, constants) == pytest.approx(gap)
