@@ -2,12 +2,14 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from math import ceil
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.evaluation.driving import check_first_command
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.recording import record_maneuvers
 from marl_lanes.evaluation.rollout import check_episodes
@@ -15,16 +17,17 @@ from marl_lanes.evaluation.tables import format_summary
 from marl_lanes.extras import need
 from marl_lanes.files import write_text
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
-from marl_lanes.rendering.encoding import FilmError
 from marl_lanes.report.conclusion import conclude
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.followers import LEARNED
 from marl_lanes.training.algorithms.algorithm import Algorithm
-from marl_lanes.training.collectors import WorkerError
+from marl_lanes.training.collected import load_collected
 from marl_lanes.training.config import ChangersConfig, ConfigError
+from marl_lanes.training.failures import ending
 from marl_lanes.training.inputs import LEARNED_FILE, check_inputs, keep_inputs, read_scenario
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import COMMAND_FILE, check_empty
+from marl_lanes.training.sizes import check_sizes
 from marl_lanes.training.timing import format_split
 from marl_lanes.training.transitions import CPU
 from marl_lanes.training.workers import choose_collector
@@ -47,34 +50,35 @@ def start(
     Raises:
         ConfigError, ScenarioError, CheckpointError, MissingExtraError: the run cannot be made.
     """
-    if config.evaluation.record:
-        for package in ("pygame", "imageio_ffmpeg"):
-            need(package, "view")
-    torch.set_num_threads(config.num_threads)
     folder = Path(config.output)
     is_new = config.resume is None
     scenario = load_scenario(config.scenario) if is_new else read_scenario(folder)
-    check_episodes(scenario)
-    env = LaneChangeEnv(
-        scenario,
-        config.collector.num_envs // config.num_workers,
-        seed=config.seed,
-        overrides=config.training_overrides,
-    )
-    files = _find_files(scenario, env.scenario)
+    num_commands = check_episodes(scenario)
+    collected = load_collected(scenario, config.training_overrides)
+    check_sizes(config, collected, scenario)
+    files = _find_files(scenario, collected)
     if is_new:
         check_empty(folder)
     else:
         check_inputs(folder, files)
-    if env.scenario.command.probability == 0.0:
-        raise ConfigError("training_overrides: command.probability = 0: must be above 0")
+    if config.evaluation.record:
+        for package in ("pygame", "imageio_ffmpeg"):
+            need(package, "view")
+    torch.set_num_threads(config.num_threads)
+    env = LaneChangeEnv(
+        collected, config.collector.num_envs // config.num_workers, seed=config.seed
+    )
     torch.manual_seed(config.seed)
     device = torch.device(config.device)
     acting_device = device if config.collector.kind == "single" else CPU
+    algorithm = make_algorithm(env, scenario, device, acting_device)
+    evaluation = config.evaluation
+    num_roads = ceil(evaluation.num_maneuvers / num_commands)
+    check_first_command(scenario, num_roads, evaluation.saved_models_seed)
     learner = Learner(
         config,
         env,
-        make_algorithm(env, scenario, device, acting_device),
+        algorithm,
         make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
     )
 
@@ -106,17 +110,12 @@ def _find_files(scenario: Scenario, training_scenario: Scenario) -> dict[str, Pa
 
 
 def run(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:
-    """Train until the end or an interruption, and report.
-
-    If a worker dies or the disk is full, the program ends.
-    """
-    try:
+    """Train until the end or an interruption, and report. A failure ends the program."""
+    with ending(learner.run.path):
         try:
             _train(learner, config, scenario)
         finally:
             learner.close()
-    except (WorkerError, OSError, FilmError) as error:
-        sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
 
 
 def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:

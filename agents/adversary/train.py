@@ -12,6 +12,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
+from math import ceil
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -20,14 +21,15 @@ import torch
 from pydantic import Field, field_validator
 from tqdm import tqdm
 
-from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
+from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
 from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
-from marl_lanes.evaluation.driving import Policy
+from marl_lanes.evaluation.driving import Policy, check_first_command
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.recording import record_maneuvers
 from marl_lanes.evaluation.rollout import check_episodes
 from marl_lanes.evaluation.tables import format_crossplay
+from marl_lanes.extras import need
 from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy
 from marl_lanes.scenario.fields import NonNegative
@@ -36,7 +38,8 @@ from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.naf import NAF, NAFConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
-from marl_lanes.training.command_line import read_command_line
+from marl_lanes.training.collected import load_collected
+from marl_lanes.training.command_line import read_command_line, refusing
 from marl_lanes.training.config import (
     ConfigError,
     CountOrZero,
@@ -45,6 +48,7 @@ from marl_lanes.training.config import (
     Widths,
     read_config,
 )
+from marl_lanes.training.failures import ending
 from marl_lanes.training.inputs import SUMS_FILE, check_inputs, keep_inputs, read_scenario
 from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.run_folder import (
@@ -54,6 +58,8 @@ from marl_lanes.training.run_folder import (
     check_empty,
     lock_run,
 )
+from marl_lanes.training.sizes import check_networks, check_sizes
+from marl_lanes.training.terminal import lenient_streams
 from marl_lanes.training.transitions import LivePolicy
 
 MODEL = f"checkpoints/{FINAL_MODEL}"
@@ -121,15 +127,14 @@ class AdversaryConfig(ProgramConfig):
         return shares
 
 
+@lenient_streams()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, evaluate, report."""
-    try:
+    with refusing():
         config = read(arguments)
-        torch.set_num_threads(config.num_threads)
         run = Run(config)
+    with ending(run.output):
         result = run.take_turns() if config.rounds else run.train_one_follower()
-    except (ConfigError, ScenarioError, CheckpointError, OSError) as error:
-        sys.exit(f"error: {error}")
     if result is None:
         print(f"interrupted; continue with resume={config.output}")
         return
@@ -155,19 +160,38 @@ class Run:
         self.device = torch.device(config.device)
         is_new = config.resume is None
         self.changer = Path(config.changer)
-        objective = {"followers": {"learned": {"objective": config.objective}}}
-        self.scenario = (
-            load_scenario(config.scenario, objective) if is_new else read_scenario(self.output)
-        )
-        check_episodes(self.scenario)
-        self.training_scenario = load_scenario(self.scenario, config.training_overrides)
-        if self.training_scenario.command.probability == 0.0:
-            raise ConfigError("training_overrides: command.probability = 0: must be above 0")
         if is_new:
             check_empty(self.output)
         else:
             check_inputs(self.output, [CHANGER_FILE])
-        self._load_changer(self.changer)
+        objective = {"followers": {"learned": {"objective": config.objective}}}
+        self.scenario = (
+            load_scenario(config.scenario, objective) if is_new else read_scenario(self.output)
+        )
+        self.training_scenario = load_collected(self.scenario, config.training_overrides)
+        self._check(check_episodes(self.scenario))
+
+    def _check(self, num_commands: int) -> None:
+        """Refuse what does not fit in memory, a changer that is none, and too short a horizon."""
+        config = self.config
+        widths, num_features = config.follower.hidden_sizes, len(FOLLOWER.seen(self.scenario))
+        name = "follower.hidden_sizes"
+        check_networks(config.follower, name, widths, num_features, "follower.")
+        parts: dict[str, ChangerConfig] = {"follower": config.follower}
+        if config.rounds:
+            parts["hardening"] = config.hardening
+        for name, part in parts.items():
+            check_sizes(part, self.training_scenario, self.scenario, f"{name}.")
+        try:
+            self._load_changer(self.changer)
+        except CheckpointError as error:
+            raise ConfigError(f"changer = {config.changer!r}: {error}") from None
+        torch.set_num_threads(config.num_threads)
+        for part in parts.values():
+            if part.evaluation.record:
+                need("pyarrow", "view")
+            num_roads = ceil(part.evaluation.num_maneuvers / num_commands)
+            check_first_command(self.scenario, num_roads, part.evaluation.saved_models_seed)
 
     @property
     def _kept_changer(self) -> Path:
@@ -313,9 +337,10 @@ class Run:
             is_first = not (self.output / SUMS_FILE).exists()
             learner.begin(folder, self._keep_inputs if is_first else None)
         print(f"{folder}:", file=sys.stderr)
-        is_complete = learner.train(evaluate_model)
-        learner.close()
-        return is_complete
+        try:
+            return learner.train(evaluate_model)
+        finally:
+            learner.close()
 
     def _seed(self, phase: int) -> int:
         """Seed torch for the phase, whatever was drawn before it; also the seed of its traffic."""

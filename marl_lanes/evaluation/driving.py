@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.traffic.simulator import Simulator
 
 Policy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
@@ -41,3 +42,31 @@ def drive(simulator: Simulator, policy: Policy, *, needs_agents: bool = False) -
             actions[acting] = policy(simulator.state.observations[acting])
         simulator.step(actions)
         yield
+
+
+def check_first_command(scenario: Scenario, num_roads: int, seed: int) -> None:
+    """Refuse episodes that end before any vehicle is commanded.
+
+    Until the first command nobody acts, so no policy is needed to know it.
+
+    Args:
+        scenario: with a horizon, or without one.
+        num_roads: of the evaluation.
+        seed: of its traffic.
+
+    Raises:
+        ScenarioError: nobody is commanded on any road.
+    """
+    if scenario.horizon is None:
+        return
+    alone = load_scenario(scenario, {"followers": {"mix": {"neutral": 1.0}}})
+    simulator = Simulator(alone, num_roads, seed=seed)
+    simulator.reset()
+    simulator.advance_until_live()
+    if not simulator.is_live.any():
+        raise ScenarioError(
+            f"scenario {scenario.name!r}: horizon = {scenario.horizon}: must be longer; on "
+            f"{num_roads} roads it ends before the first command (command.probability = "
+            f"{scenario.command.probability:g}, command.position = "
+            f"{list(scenario.command.position)})"
+        )

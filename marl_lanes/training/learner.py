@@ -5,6 +5,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,13 @@ from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
+from marl_lanes.training.failures import (
+    IdleWatch,
+    TrainingError,
+    check_losses,
+    check_weights,
+    explain_divergence,
+)
 from marl_lanes.training.interruptions import note_interruptions
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
@@ -33,6 +41,7 @@ from marl_lanes.training.run_folder import (
     RunFolder,
 )
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
+from marl_lanes.training.torch_settings import training_settings
 from marl_lanes.training.transitions import finished_maneuvers, live_transitions
 
 ROWS_AT_ONCE = 32_768
@@ -82,6 +91,7 @@ class Learner:
         self.collector = make_collector(env, self.policy, config.collector.steps_per_batch)
         self.counters = defaultdict[str, float](float)
         """transitions, updates, saved (models), and seconds by activity."""
+        self.idle = IdleWatch(env.scenario)
 
     @property
     def transitions(self) -> int:
@@ -232,18 +242,35 @@ class Learner:
             transitions = live_transitions(batch, self.group)
             self.replay.extend(transitions)
             self.counters["transitions"] += len(transitions)
+            self.idle.note(batch, len(transitions))
         with self.timed("learning"):
             config = self.config
             start = config.replay.warmup_transitions
             due = max(0, self.transitions - start) / config.optimizer.transitions_per_update
             losses = self.update(int(due) - int(self.counters["updates"]))
+            found = {name: values.tolist() for name, values in losses.items()}
+            self.check(found)
         with self.timed("logging"):
-            self.log(batch, losses)
+            self.log(batch, found)
 
-    def log(self, batch: TensorDictBase, losses: Mapping[str, Tensor]) -> None:
+    def check(self, losses: Mapping[str, Sequence[float]]) -> None:
+        """Look at a round of updates, before its weights act or are saved.
+
+        Raises:
+            TrainingError: a loss, a weight or a mean of the gradients says that it diverges.
+        """
+        if losses:
+            updates = int(self.counters["updates"])
+            try:
+                check_losses(losses, updates)
+                check_weights(self.algorithm.optimizer, updates)
+            except TrainingError as error:
+                raise explain_divergence(error, self.config.optimizer) from None
+
+    def log(self, batch: TensorDictBase, losses: Mapping[str, Sequence[float]]) -> None:
         """One row of metrics, one for every maneuver that ended."""
         returns, outcomes = finished_maneuvers(batch, self.group)
-        means = {name: float(np.mean(values.tolist())) for name, values in losses.items()}
+        means = {name: float(np.mean(values)) for name, values in losses.items()}
         learned = {**self.algorithm.schedules(), **means}
         row = {
             "updates": int(self.counters["updates"]),
@@ -267,6 +294,9 @@ class Learner:
         save_checkpoint(path, network, self.env.scenario.name, self.transitions)
         recorded = self.run.trajectory(name) if self.config.evaluation.record else None
         summary = evaluate_model(network, recorded)
+        for metric, value in summary.items():
+            if isinstance(value, float) and not isfinite(value):
+                raise TrainingError(f"{name}: {metric} = {value}: must be finite, or null")
         row = [summary[key] for key in self.config.evaluation.metrics]
         self.run.evaluations.append(
             (self.transitions, name, *("" if value is None else value for value in row))
@@ -291,11 +321,13 @@ class Learner:
 
         Raises:
             WorkerError: a worker has died; the training state is the last one that was written.
+            TrainingError: it diverges, or nobody acts; likewise.
         """
         total = self.config.collector.total_transitions
         interval = self.config.evaluation.save_interval
         criterion = self.config.evaluation.criterion
         with (
+            training_settings(self.algorithm.device),
             note_interruptions() as interrupted,
             tqdm(
                 total=total, initial=self.transitions, unit="tr", unit_scale=True, desc="training"

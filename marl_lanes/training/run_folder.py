@@ -143,8 +143,11 @@ def check_empty(path: Path) -> None:
     """Refuse a folder for a new run that holds something.
 
     Raises:
-        ConfigError: it does.
+        ConfigError: it does, or it is a file, or in one.
     """
+    files = [str(one) for one in (path, *path.parents) if one.is_file()]
+    if files:
+        raise ConfigError(f"output = {str(path)!r}: must be a folder; {files[0]} is a file")
     if path.exists() and any(entry.name != LOCK_FILE for entry in path.iterdir()):
         raise ConfigError(
             f"output = {str(path)!r}: must be a new or empty folder; a run that it holds "

@@ -25,7 +25,7 @@ from naf_program import (
     weights,
 )
 from omegaconf import OmegaConf
-from programs import BUSY, load_program, run_main
+from programs import BUSY, load_program, replaced, run_main
 
 from marl_lanes import ScenarioError, experiment, load_scenario
 from marl_lanes.evaluation.metrics import summarise
@@ -335,33 +335,36 @@ def test_the_papers_recipe(program, whole, tmp_path):
     assert any(not torch.equal(other[key], value) for key, value in one.items())
 
 
-def test_an_existing_run_is_refused(program, whole):
+def test_an_existing_run_is_refused(program, whole, monkeypatch, capsys):
     run, _ = whole
+    monkeypatch.chdir(run.parent)
     before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
     with pytest.raises(SystemExit) as caught:
-        run_main(program, run.parent, *TINY, "output=run")
-    assert caught.value.code.startswith("error: output = 'run': must be a new or empty folder")
+        program.main([*TINY, "output=run"])
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.startswith("error: output = 'run': must be a new or empty ")
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
 
 
 def test_an_unknown_key_is_one_error_and_no_folder(tmp_path):
     option = "optimizer.lerning_rate=1"
     code, out, err = run_program(*TINY, option, "output=run", folder=prepare(tmp_path))
-    assert code != 0
-    assert "lerning_rate" in err
-    assert "Traceback" not in err
+    assert code == 2
+    assert err.startswith("error: optimizer.lerning_rate: unknown key; did you mean learning_rate?")
     assert out == ""
-    assert len(err.strip().splitlines()) <= 8
+    assert len(err.splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
-def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, capsys):
+def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(prepare(tmp_path))
     with pytest.raises(SystemExit) as caught:
-        run_main(program, prepare(tmp_path), *TINY, "network.mu=foo", "output=run")
-    assert caught.value.code.startswith("error: ")
-    assert "foo" in caught.value.code
-    assert len(caught.value.code.splitlines()) == 1
-    assert capsys.readouterr() == ("", "")
+        program.main([*TINY, "network.mu=foo", "output=run"])
+    assert caught.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: network.mu = 'foo': ")
+    assert len(err.splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
@@ -372,7 +375,7 @@ def begin(program, config):
 
 def read(program, *options):
     """What the program makes of the tiny budget and the options."""
-    return program.read([*TINY, "output=run", *options])
+    return program.read(replaced([*TINY, "output=run", *options]))
 
 
 @pytest.mark.parametrize(
@@ -382,7 +385,6 @@ def read(program, *options):
         (["seed=-1"], "seed = -1: must be greater than or equal to 0"),
         (["+training_overrides.road.lanes=3"], "road.lanes: unknown key"),
         (["network.mu=foo"], "foo"),
-        (["resume=absent"], "resume = 'absent'"),
     ],
 )
 def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
@@ -398,9 +400,9 @@ def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
     config = read(program, "collector=ray", "num_workers=2", "ray.address=10.0.0.1:1")
     assert config.ray.address == "10.0.0.1:1"
     write_config(tmp_path / "run" / "config.yaml", config)
-    again = read(program, "resume=run", "ray.address=10.0.0.2:2", "num_workers=7")
+    again = program.read(["resume=run", "ray.address=10.0.0.2:2"])
     assert (again.ray.address, again.num_workers) == ("10.0.0.2:2", 2)
-    assert read(program, "resume=run").ray.address == "10.0.0.1:1"
+    assert program.read(["resume=run"]).ray.address == "10.0.0.1:1"
 
 
 def foreign_state(path):
@@ -509,7 +511,7 @@ def test_a_scenario_with_two_actions_has_its_recipe(program, tmp_path, monkeypat
         ["recipe=fast", "scenario=interactive"],
     ):
         assert program.read(named).recipe == "fast"
-    for named, scenario in (("scenario=absent", "absent"), ("scenario=3", "3"), ("~scenario", "")):
+    for named, scenario in (("scenario=absent", "absent"), ("scenario=3", "3")):
         with pytest.raises(ScenarioError, match=f"scenario '{scenario}.*': no such scenario"):
             program.read([named])
 

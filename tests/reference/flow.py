@@ -112,8 +112,13 @@ class Flow(Commands):
             car.command_position = self.random.uniform(*scenario.command.position)
             self.cars.append(car)
             self.counts["num_entered"] += 1
-            due = now + self.random.uniform(*scenario.departures.interval)
-            speed = self.random.uniform(*scenario.departures.initial_speed)
-            mix = scenario.drivers.mix
-            name = self.random.choose({n: mix.get(n, 0.0) for n in scenario.drivers.profiles})
-            self.departures[lane] = [due, speed, name]
+            self.departures[lane] = self.next_departure(now)
+
+    def next_departure(self, now):
+        """Time, speed and profile of a lane's next vehicle."""
+        scenario = self.scenario
+        due = now + self.random.uniform(*scenario.departures.interval)
+        speed = self.random.uniform(*scenario.departures.initial_speed)
+        mix = scenario.drivers.mix
+        name = self.random.choose({n: mix.get(n, 0.0) for n in scenario.drivers.profiles})
+        return [due, speed, name]

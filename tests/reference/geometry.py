@@ -13,7 +13,7 @@ class Geometry:
     def __init__(self, scenario):
         self.scenario = scenario
         self.cars, self.agents, self.collisions, self.counts = [], {}, [], {}
-        self.followers = {}
+        self.followers, self.departures = {}, []
         self.external_names = [name for name in scenario.followers.mix if name not in SCRIPTED]
         self.known_lanes = {}
 

@@ -72,3 +72,6 @@ class Follower:
     reward: float = 0.0
     episode_reward: float = 0.0
     observation: list = field(default_factory=list)
+
+    def be_unpaid(self):
+        self.terms, self.reward = dict.fromkeys(FOLLOWER_TERMS, 0.0), 0.0

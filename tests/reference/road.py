@@ -11,7 +11,7 @@ from philox import Random
 from reference.records import Agent, Car, Follower
 from reference.roles import Roles
 
-from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.machine.state import ROAD, Outcome, Phase
 
 KEEPING_MIN_SPEED = 1.0
 
@@ -68,8 +68,26 @@ class Road(Roles):
             road.followers[slot] = Follower(driver, episode_reward=total)
         return road
 
+    @classmethod
+    def after_reset(cls, scenario, seed):
+        """Road 0 of a seed after its reset: empty, then a warm-up without commands."""
+        road = cls(scenario)
+        road.counts = {name: 0 for name, *_ in ROAD if not name.startswith("random")}
+        road.random = Random(seed, 0, 0)
+        start = -math.ceil(road.random.uniform(*scenario.warmup) / scenario.time_step)
+        now, road.counts["step"] = start * scenario.time_step, start
+        for _ in range(scenario.road.num_lanes):
+            _, speed, name = road.next_departure(now)
+            # The road begins at a random time between two departures.
+            due = now + road.random.uniform(0.0, scenario.departures.interval[1])
+            road.departures.append([due, speed, name])
+        for _ in range(-start):
+            road.step([], [])
+        return road
+
     def step(self, actions, follower_actions):
         """One time step, given by agent slot the actions and the accelerations of the followers."""
+        self.forget()
         if self.scenario.followers.cooperative.moves_over:
             for car in self.cars:
                 self.move_over(car)
@@ -93,6 +111,14 @@ class Road(Roles):
         if self.external_names:
             self.pair()
         self.finish()
+
+    def forget(self):
+        """Free the slots of the commands that ended in the step before."""
+        for slot, agent in list(self.agents.items()):
+            if agent.outcome != Outcome.UNFINISHED:
+                del self.agents[slot]
+                self.followers.pop(slot, None)
+        self.known_lanes.clear()
 
     def move(self, car, actions):
         """Steer, then semi-implicit Euler; the road's turning is from before the step."""

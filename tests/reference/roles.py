@@ -77,7 +77,9 @@ class Roles(Driving):
         before, self.followers = self.followers, {}
         for slot, agent in self.agents.items():
             follower = self.followers[slot] = before.get(slot, Follower())
-            if follower.car is not None:
+            if follower.car is None:
+                follower.be_unpaid()
+            else:
                 self.pay(follower, agent)
             driver = agent.neighbors["target_follower"]
             is_engaged = agent.phase == Phase.ENGAGED and agent.outcome == Outcome.UNFINISHED
