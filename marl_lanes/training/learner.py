@@ -364,5 +364,6 @@ class Learner:
     def close(self) -> None:
         """Release the collector, the logs, and the files of the replay buffer."""
         self.collector.shutdown()
-        self.run.close()
+        # While the folder is locked: the next process makes its own.
         shutil.rmtree(self.run.path / BUFFER_FOLDER, ignore_errors=True)
+        self.run.close()
