@@ -265,7 +265,7 @@ def _overrides(draw):
         overrides["road"] = draw(_roads(length))
         high = 0.4 * length
         overrides["command"] = draw(
-            section(position=ranges(1.0, high), probability=numbers(0.2, 1.0))
+            section(position=ranges(0.0, high), probability=numbers(0.2, 1.0))
         )
     if draw(st.booleans()):
         step = overrides["time_step"] = draw(numbers(0.05, 0.5))

@@ -206,7 +206,8 @@ class Recorder:
 
 def tests_of(file):
     """Per test of the package: its seconds and the lines of the file that it runs."""
-    sources = [read(module) for module in find_modules()]
+    package = file[: file.index("/", len("marl_lanes/")) + 1]
+    sources = [read(module) for module in find_modules() if module.startswith(package)]
     found = {}
     for test_file in find_tests(file):
         name = digest(read(test_file), *sources)
@@ -276,6 +277,10 @@ def try_mutant(mutant, tests, max_seconds):
     return "slow" if status < 0 else outcomes[status]
 
 
+def is_alive(outcome):
+    return outcome in ("survived", "untested")
+
+
 def report(modules, results):
     print(f"{'module':45}  mutants  tried  killed  slow  broken  survived  untested")
     for file in modules:
@@ -286,7 +291,7 @@ def report(modules, results):
             f" {count['broken']:7} {count['survived']:9} {count['untested']:9}"
         )
     for mutant, outcome in results.items():
-        if outcome in ("survived", "untested") and mutant.file in modules:
+        if is_alive(outcome) and mutant.file in modules:
             before, after = read(mutant.file).splitlines(), mutated(mutant).splitlines()
             changed = [pair for pair in zip(before, after, strict=True) if pair[0] != pair[1]]
             print(f"\n{mutant.file}:{mutant.line} {outcome}")
@@ -327,14 +332,14 @@ def main():
         preload()
         for file in modules:
             tests = tests_of(file)
-            for mutant in find_mutants(file, options.share):
-                known = results.get(mutant)
-                if known is None or (options.again and known in ("survived", "untested")):
-                    results[mutant] = try_mutant(mutant, tests, options.seconds)
-                    with path.open("a", encoding="utf-8") as stream:
-                        stream.write(
-                            json.dumps(asdict(mutant) | {"outcome": results[mutant]}) + "\n"
-                        )
+            todo = [one for one in find_mutants(file, options.share) if one not in results]
+            if options.again:
+                todo += [one for one in results if one.file == file and is_alive(results[one])]
+            for mutant in todo:
+                results[mutant] = try_mutant(mutant, tests, options.seconds)
+                line = json.dumps(asdict(mutant) | {"outcome": results[mutant]})
+                with path.open("a", encoding="utf-8") as stream:
+                    stream.write(line + "\n")
             print(file, "is done", flush=True)
     report(modules, results)
 

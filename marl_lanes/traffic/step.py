@@ -301,7 +301,8 @@ def run(
             if is_leaving:
                 remove_vehicles(road, cars, ranks)
             depart(road, lane, cars, ranks, live, p, profiles, dispositions, arcs)
-            if is_command_due:
+            # A vehicle may enter at its command position.
+            if is_command_due or p.command_low == 0.0:
                 give_commands(road, cars, ranks, live, p)
             if road.num_live > 0:
                 renew(scene, seen, features)

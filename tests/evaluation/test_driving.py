@@ -5,6 +5,7 @@ import pytest
 
 from marl_lanes import ScenarioError, load_scenario
 from marl_lanes.evaluation.driving import check_first_command, drive
+from marl_lanes.traffic import simulator as simulator_module
 from marl_lanes.traffic.simulator import Simulator
 
 
@@ -55,3 +56,18 @@ def test_episodes_that_end_before_the_first_command_are_refused():
         check_first_command(short, 2, 0)
     for horizon in (120.0, None):
         check_first_command(load_scenario(short, {"horizon": horizon}), 2, 0)
+
+
+def test_where_agents_are_needed_a_day_without_one_is_an_error(monkeypatch):
+    monkeypatch.setattr(simulator_module, "MAX_WAIT", 20.0)
+    overrides = {"departures": {"interval": [1e6, 1e6]}, "horizon": None}
+
+    def steps(*, needs_agents):
+        simulator = Simulator("paper", 2, overrides=overrides)
+        simulator.reset()
+        unused = drive(simulator, lambda seen: seen, needs_agents=needs_agents)
+        return sum(1 for _ in islice(unused, 300))
+
+    assert steps(needs_agents=False) == 300
+    with pytest.raises(ScenarioError, match="no agent has become live in 20 s"):
+        steps(needs_agents=True)

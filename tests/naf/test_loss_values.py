@@ -278,9 +278,11 @@ def test_rewards_are_standardised_where_the_estimator_says_so():
     torch.testing.assert_close(data["td_error"], torch.tensor([0.5, 0.5]))
 
 
-def test_a_reward_of_another_shape_is_refused():
+@pytest.mark.parametrize("names", [["reward"], ["reward", "done", "terminated"]])
+def test_entries_of_another_shape_are_refused(names):
     data = make_data()
-    data["next", "reward"] = data["next", "reward"].squeeze(-1)
+    for name in names:
+        data["next", name] = data["next", name].squeeze(-1)
     with pytest.raises(RuntimeError, match="must share a unique shape"):
         make_loss()(data)
 

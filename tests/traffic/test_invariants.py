@@ -67,5 +67,5 @@ def test_what_holds_after_every_step():
 @pytest.mark.long
 def test_what_holds_after_every_step_of_hundreds_of_scenarios():
     met = hold(200, is_whole=True)
-    assert min(met[name] for name in ("num_left", "num_collided", "num_off_road")) > 100
-    assert min(met[outcome.name] for outcome in Outcome) > 100
+    assert min(met[name] for name in ("num_left", "num_collided", "num_off_road")) > 20
+    assert min(met[outcome.name] for outcome in Outcome) > 20

@@ -15,7 +15,7 @@ EVERYTHING = {
     *(phase.name for phase in Phase if phase != Phase.ABSENT),
     *(kind.name for kind in CollisionKind),
     *("paired", "scripted", "delay", "abort", "collision", "discomfort", "braking"),
-    *("moving over", "moved over", "took back"),
+    *("moving over", "moved over"),
 }
 """What must occur in the whole of the drawn scenarios."""
 

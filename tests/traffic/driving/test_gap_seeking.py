@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from staging import command, damped_actions, stage
 
-from marl_lanes.traffic.driving.gap_seeking import travel_time
+from marl_lanes.scenario import load_scenario
+from marl_lanes.traffic.driving.gap_seeking import aim_at, needed_gap, travel_time
+from marl_lanes.traffic.machine.compiled import compiled, on_columns
 from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.traffic.simulator import Simulator
 
 NEVER = {"gap": {"minimum_gap": 5000.0}}
@@ -180,3 +183,31 @@ def test_where_no_gap_is_wide_enough_for_a_driver_the_acceleration_is_finite(for
         drivers={"car_following": form},
     )
     assert -8.0 <= acceleration <= 2.0
+
+
+@compiled
+def aims(simulated, front, rear, order, profiles, constants):
+    return aim_at(simulated[0], front, rear, order, simulated, profiles, constants)
+
+
+@pytest.mark.parametrize(
+    ("front", "rear", "aim"), [(0, -1, -math.inf), (-1, 2, math.inf), (0, 2, 0.0)]
+)
+def test_without_a_gap_wide_enough_the_aim_is_away_from_who_needs_it(front, rear, aim):
+    """At twice its v0 or more no driver accepts a gap, whichever side it is on."""
+    simulator = simulator_of(drivers={"car_following": "sum"}, gap={"speed_factor": 2.0})
+    hasty = {"speed": 24.0, "desired_speed": 8.0}
+    places = [{"lane": 2, "position": place, **hasty} for place in (230.0, 150.0)]
+    stage(simulator, {"lane": 1, "position": 200.0, **hasty}, *places)
+    profiles, constants = simulator.parameters.profiles, simulator.parameters.constants[0]
+    order = simulator.state.order[0]
+    _, way, found = aims(simulator.vehicles[0], front, rear, order, profiles, constants)
+    assert (way, found) == (math.inf, aim)
+
+
+@pytest.mark.parametrize(("closing", "gap"), [(-4.0, 10.0), (0.0, 10.0), (0.5, 10.03125)])
+def test_the_kinematic_gap_by_hand(closing, gap):
+    """d_min + 0.4 s * 20 m/s, and closing^2/(2 * 4 m/s^2)."""
+    scenario = load_scenario("paper", {"gap": {"rule": "kinematic"}})
+    constants = make_parameters(scenario).constants.view(np.recarray)[0]
+    assert on_columns(needed_gap)(20.0, closing, 30.0, None, constants) == pytest.approx(gap)
