@@ -307,7 +307,7 @@ def test_calls_that_are_refused_at_once(name, folder, capsys):
 @pytest.mark.parametrize("name", ["naf", "td3", "adversary"])
 def test_some_of_the_calls_that_are_composed_first(name, folder, capsys):
     found = [*written(name), *of_fields(name)]
-    for arguments, part in itertools.islice(found, 7, None, len(found) // 7):
+    for arguments, part in itertools.islice(found, 5, None, len(found) // 5):
         check_call(name, arguments, part, folder, capsys)
 
 

@@ -3,8 +3,8 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from marl_lanes.evaluation.driving import drive
-from marl_lanes.scenario import ScenarioError
+from marl_lanes import ScenarioError, load_scenario
+from marl_lanes.evaluation.driving import check_first_command, drive
 from marl_lanes.traffic import simulator as simulator_module
 from marl_lanes.traffic.simulator import Simulator
 
@@ -47,6 +47,15 @@ def test_the_policy_is_asked_only_for_the_next_step():
         if was_asked:
             break
     assert was_asked
+
+
+def test_episodes_that_end_before_the_first_command_are_refused():
+    short = load_scenario("paper", {"warmup": [0.0, 0.0], "horizon": 3.0})
+    message = r"^scenario 'paper': horizon = 3.0: must be longer; on 2 roads it ends before the fir"
+    with pytest.raises(ScenarioError, match=message):
+        check_first_command(short, 2, 0)
+    for horizon in (120.0, None):
+        check_first_command(load_scenario(short, {"horizon": horizon}), 2, 0)
 
 
 def test_where_agents_are_needed_a_day_without_one_is_an_error(monkeypatch):
