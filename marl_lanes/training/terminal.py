@@ -7,6 +7,8 @@ from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdo
 from io import UnsupportedOperation
 from typing import Any, TextIO, cast
 
+from marl_lanes.terminal import prepare_streams
+
 
 class _Lenient:
     """Writes to a stream until that fails, and from then on to nowhere."""
@@ -43,9 +45,8 @@ def lenient_streams() -> Iterator[None]:
     A training runs on after ``| head`` has ended, after its terminal is closed, and when it was
     started without one.
     """
+    prepare_streams()
     with ExitStack() as stack:
         for stream, redirect in ((sys.stdout, redirect_stdout), (sys.stderr, redirect_stderr)):
-            # A closed descriptor is taken again by the next file, so that one must be nowhere.
-            found = stream or stack.enter_context(open(os.devnull, "w"))  # noqa: PTH123
-            stack.enter_context(redirect(cast("TextIO", _Lenient(found))))
+            stack.enter_context(redirect(cast("TextIO", _Lenient(stream))))
         yield

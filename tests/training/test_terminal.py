@@ -58,3 +58,12 @@ def test_an_error_of_a_stream_is_none_of_the_program(monkeypatch):
         sys.stderr.flush()
     with pytest.raises(OSError, match="gone"):
         sys.stderr.write("three")
+
+
+def test_what_an_encoding_lacks_is_escaped(monkeypatch):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", stream)
+    with lenient_streams():
+        sys.stdout.write("läufe \udcff")
+        sys.stdout.flush()
+    assert stream.buffer.getvalue() == b"l\\xe4ufe \\udcff"
