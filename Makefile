@@ -2,6 +2,8 @@
 # make check  - linters, import contract, type checker, the tests that neither train nor take long
 # make test   - the same with all tests that take less than a minute
 # make trials - the tests that take minutes: what `make test` has a share of, whole
+# make test-lowest, make test-newest - the tests with the lowest and the newest versions that pyproject.toml allows,
+#                each in a virtual environment of its own: .venv-lowest, .venv-newest
 # make coverage - the lines of marl_lanes that the tests of `make test` run; kernels count where they are interpreted
 # make mutation - small faults put into naf/ and traffic/, and which of them the tests let pass: hours (ARGS="--share 0.1": less)
 # make figures - draw the figures of docs/ anew, in half a minute
@@ -25,7 +27,7 @@ INTERPRETED := -m "not (training or slow or long)" tests/traffic/test_golden.py 
 # What stands before the tests of `check` and `test`, side by side.
 MAKEFLAGS += --jobs=2
 
-.PHONY: train check test trials coverage mutation lint types kernels figures benchmark clean
+.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels figures benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -35,6 +37,16 @@ check: lint types kernels
 
 test: lint types kernels
 	$(PYTEST)
+
+# Other linters and type checkers say other things: these two run the tests alone.
+test-lowest test-newest: test-%: .venv-%/installed
+	NUMBA_CACHE_DIR=$(CURDIR)/.venv-$*/kernels .venv-$*/bin/python -m pytest --numprocesses auto --dist loadfile \
+		--no-loadscope-reorder
+
+.venv-%/installed: pyproject.toml constraints-%.txt
+	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
+	.venv-$*/bin/python -m pip install --quiet --constraint constraints-$*.txt --editable '.[dev]'
+	touch $@
 
 trials: kernels
 	$(PYTEST) --long -m long
@@ -69,6 +81,8 @@ figures: $(VENV)/installed
 		--figure docs/figures/followers.svg --figure docs/figures/followers.png
 	$(BIN)/marl-lanes record tuned-cascade --scenario yielding --follow changer_7 --start 39 --seconds 9 \
 		--span 150 --size 800x500 --out docs/figures/highway.gif
+	$(BIN)/python benchmarks/convergence.py \
+		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
@@ -85,4 +99,4 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf build dist .coverage .coverage.* .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf .venv-lowest .venv-newest build dist .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

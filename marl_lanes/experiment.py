@@ -2,12 +2,14 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from math import ceil
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.evaluation.driving import check_first_command
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.recording import record_maneuvers
 from marl_lanes.evaluation.rollout import check_episodes
@@ -17,11 +19,15 @@ from marl_lanes.files import write_text
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
 from marl_lanes.report.conclusion import conclude
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario.followers import LEARNED
 from marl_lanes.training.algorithms.algorithm import Algorithm
-from marl_lanes.training.collectors import WorkerError
-from marl_lanes.training.config import ChangersConfig, ConfigError, write_config
+from marl_lanes.training.collected import load_collected
+from marl_lanes.training.config import ChangersConfig, ConfigError
+from marl_lanes.training.failures import ending
+from marl_lanes.training.inputs import LEARNED_FILE, check_inputs, keep_inputs, read_scenario
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import COMMAND_FILE, check_empty
+from marl_lanes.training.sizes import check_sizes
 from marl_lanes.training.timing import format_split
 from marl_lanes.training.transitions import CPU
 from marl_lanes.training.workers import choose_collector
@@ -34,7 +40,7 @@ learns and acts. Torch's generator is seeded before."""
 def start(
     config: ChangersConfig, make_algorithm: MakeAlgorithm, command: str
 ) -> tuple[Learner, Scenario]:
-    """Begin a new run, or resume one. After an error no file is left behind.
+    """Begin a new run, or resume one from its folder alone. After an error no file is left behind.
 
     Args:
         config: of the run.
@@ -44,53 +50,72 @@ def start(
     Raises:
         ConfigError, ScenarioError, CheckpointError, MissingExtraError: the run cannot be made.
     """
+    folder = Path(config.output)
+    is_new = config.resume is None
+    scenario = load_scenario(config.scenario) if is_new else read_scenario(folder)
+    num_commands = check_episodes(scenario)
+    collected = load_collected(scenario, config.training_overrides)
+    check_sizes(config, collected, scenario)
+    files = _find_files(scenario, collected)
+    if is_new:
+        check_empty(folder)
+    else:
+        check_inputs(folder, files)
     if config.evaluation.record:
         for package in ("pygame", "imageio_ffmpeg"):
             need(package, "view")
     torch.set_num_threads(config.num_threads)
-    scenario = load_scenario(config.scenario)
-    check_episodes(scenario)
     env = LaneChangeEnv(
-        scenario,
-        config.collector.num_envs // config.num_workers,
-        seed=config.seed,
-        overrides=config.training_overrides,
+        collected, config.collector.num_envs // config.num_workers, seed=config.seed
     )
-    if env.scenario.command.probability == 0.0:
-        raise ConfigError("training_overrides: command.probability = 0: must be above 0")
     torch.manual_seed(config.seed)
-    folder = Path(config.output)
-    if config.resume is None:
-        check_empty(folder)
     device = torch.device(config.device)
     acting_device = device if config.collector.kind == "single" else CPU
+    algorithm = make_algorithm(env, scenario, device, acting_device)
+    evaluation = config.evaluation
+    num_roads = ceil(evaluation.num_maneuvers / num_commands)
+    check_first_command(scenario, num_roads, evaluation.saved_models_seed)
     learner = Learner(
         config,
         env,
-        make_algorithm(env, scenario, device, acting_device),
+        algorithm,
         make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
     )
+
+    def keep() -> None:
+        write_text(folder / COMMAND_FILE, f"{command}\n")
+        keep_inputs(folder, config, scenario, files)
+
     try:
-        if config.resume is not None:
-            learner.resume(folder)
+        if is_new:
+            learner.begin(folder, keep)
         else:
-            learner.begin(folder)
-            write_config(learner.run.config, config)
-            write_text(learner.run.path / COMMAND_FILE, f"{command}\n")
+            learner.resume(folder)
     except BaseException:
         learner.collector.shutdown()
         raise
-    return learner, scenario
+    return learner, read_scenario(folder)
+
+
+def _find_files(scenario: Scenario, training_scenario: Scenario) -> dict[str, Path]:
+    """The files that a run reads besides its scenario, by the names of their copies."""
+    checkpoint = scenario.followers.learned.checkpoint
+    if training_scenario.followers.learned.checkpoint != checkpoint:
+        raise ConfigError(
+            "training_overrides: followers.learned.checkpoint: must be set in the scenario"
+        )
+    mixes = (scenario.followers.external_names, training_scenario.followers.external_names)
+    is_read = checkpoint is not None and any(LEARNED in names for names in mixes)
+    return {LEARNED_FILE: Path(str(checkpoint))} if is_read else {}
 
 
 def run(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:
-    """Train until the end or an interruption, and report. If a worker dies, the program ends."""
-    try:
-        _train(learner, config, scenario)
-    except WorkerError as error:
-        sys.exit(f"error: {error}; continue from the last saved model: resume={learner.run.path}")
-    finally:
-        learner.close()
+    """Train until the end or an interruption, and report. A failure ends the program."""
+    with ending(learner.run.path):
+        try:
+            _train(learner, config, scenario)
+        finally:
+            learner.close()
 
 
 def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None:

@@ -1,5 +1,7 @@
 """Files that are whole or not there: write to a temporary name, then rename."""
 
+import errno
+import fcntl
 import glob
 import json
 import os
@@ -9,8 +11,50 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader, BufferedWriter
 from pathlib import Path
 from typing import Any
+
+LOCK_FILE = ".lock"
+"""File of a folder that one process at a time may lock."""
+
+
+class LockedError(OSError):
+    """A folder that another process has locked."""
+
+
+def open_regular(path: Path) -> BufferedReader:
+    """Open a file to read its bytes.
+
+    Raises:
+        OSError: it cannot be opened, or is no file: the end of a pipe or a device may never come.
+    """
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "must be a regular file", str(path))
+    return path.open("rb")
+
+
+def lock_folder(path: Path) -> BufferedWriter:
+    """Lock a folder for this process, until the file is closed or the process ends in any way.
+
+    A record lock: a forked child does not have it. The file stays; its presence means nothing.
+
+    Args:
+        path: of the folder, which is there.
+
+    Raises:
+        LockedError: another process has locked it.
+        OSError: it cannot be written, or its disk has no locks.
+    """
+    file = (path / LOCK_FILE).open("ab")
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        if error.errno in {errno.EACCES, errno.EAGAIN}:
+            raise LockedError(error.errno, "another process is at work in it", str(path)) from None
+        raise
+    return file
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -34,9 +78,10 @@ def replacing(path: Path) -> Iterator[Path]:
     """A temporary file that takes the place of ``path`` at the end, all of it at once.
 
     If the body raises, what was there stays as it was. Links are followed. A file that is there
-    keeps its mode and its owner; a new one has those that the process gives. What is no file (a
-    pipe, a device, an open descriptor as ``/dev/stdout``) stays, and is sent the content once that
-    is whole.
+    keeps its mode and its owner; a new one has those that the process gives. It is on the disk
+    before it has the name: after a power cut there is the old one or the new one. What is no file
+    (a pipe, a device, an open descriptor as ``/dev/stdout``) stays, and is sent the content once
+    that is whole.
 
     Args:
         path: to write; folders above it are made.
@@ -62,12 +107,14 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = target.with_name(f"{_prefix(target)}{os.getpid()}")
     try:
         yield temporary
+        _flush(temporary)
         if before is not None:
             with suppress(PermissionError):
                 os.chown(temporary, before.st_uid, before.st_gid)
             with suppress(PermissionError):
                 temporary.chmod(stat.S_IMODE(before.st_mode))
         temporary.replace(target)
+        _flush(target.parent)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -85,6 +132,15 @@ def write_json(path: Path, data: Any) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` as UTF-8."""
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file's content, or a folder's names, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _find_descriptor(path: Path) -> int | None:

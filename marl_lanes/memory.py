@@ -19,5 +19,5 @@ def check_memory(name: str, value: float, needed: float) -> None:
         raise ValueError(
             f"{name} = {value}: needs about {needed / 2**30:.3g} GiB of memory, "
             f"{available / 2**30:.3g} GiB are available; must be at most "
-            f"{int(value * available / needed)} here"
+            f"{int(value * (available / needed))} here"
         )

@@ -100,6 +100,13 @@ def compare_followers(road, simulator, env):
             assert close(value, expected, 1e-6), name
 
 
+def met_by_agents(road):
+    """Phases and outcomes of the agents, by name: members of different enumerations are equal."""
+    for agent in road.agents.values():
+        yield agent.phase.name
+        yield agent.outcome.name
+
+
 def met_behind(road):
     """What occurred to the drivers behind the changers."""
     for slot, follower in road.followers.items():
@@ -134,7 +141,7 @@ def compare_road(road, simulator, env):
         assert close(lane["next_speed"], expected[1])
         assert names[lane["next_profile"]] == expected[2]
     records = simulator.state.collisions[env]
-    for back, expected in enumerate(reversed(road.collisions)):
+    for back, expected in enumerate(reversed(road.collisions[-len(records) :])):
         row = records[(road.counts["num_collisions"] - 1 - back) % len(records)]
         for name, value in expected.items():
             assert close(row[name], value), name

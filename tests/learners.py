@@ -5,6 +5,7 @@ from pathlib import Path
 
 import torch
 from collecting import BUSY
+from programs import replaced
 from tensordict import TensorDict
 
 from marl_lanes import LaneChangeEnv
@@ -43,7 +44,7 @@ class OtherConfig(TrainingConfig):
 
 
 def tiny(*options, kind=TrainingConfig):
-    return read_config(kind, compose_fields(kind, FOLDER, [*TINY, *options]))
+    return read_config(kind, compose_fields(kind, FOLDER, replaced([*TINY, *options])))
 
 
 def changers(*options, overrides=BUSY, mu="damped", seed=0, **places):

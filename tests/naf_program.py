@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import torch
-from programs import BUSY
+from programs import BUSY, replaced
 
 PROGRAM = Path(__file__).parents[1] / "agents" / "naf" / "train.py"
 TINY = [
@@ -38,7 +38,7 @@ def prepare(folder):
 
 def start(*options, folder, stderr=subprocess.PIPE):
     return subprocess.Popen(
-        [sys.executable, str(PROGRAM), *options],
+        [sys.executable, str(PROGRAM), *replaced(options)],
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=stderr,

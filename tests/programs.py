@@ -28,6 +28,12 @@ def load_program(path):
     return module
 
 
+def replaced(options):
+    """The options without those whose field a later one gives again."""
+    last = {option.partition("=")[0].lstrip("+"): option for option in options}
+    return list(last.values())
+
+
 def run_main(program, folder, *options):
     """Run the program in a folder; what it prints to stdout and stderr."""
     out, err = io.StringIO(), io.StringIO()
@@ -36,5 +42,5 @@ def run_main(program, folder, *options):
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
-        program.main(options)
+        program.main(replaced(options))
     return out.getvalue(), err.getvalue()

@@ -23,17 +23,16 @@ def damped_actions(simulator, noise=0.0, generator=None):
         actions[..., 1] = simulator.agents["car_following"]
         if generator is not None:
             actions[..., 1] = generator.uniform(-4.0, 4.0, simulator.agents.shape)
-    width = simulator.scenario.road.lane_width
-    for env, slot in zip(*simulator.is_steering.nonzero(), strict=True):
-        agent = simulator.agents[env, slot]
-        car = simulator.vehicles[env, agent["vehicle"]]
-        is_back = agent["phase"] == Phase.ABORTING
-        lane = agent["origin_lane"] if is_back else agent["target_lane"]
-        error = (lane + 0.5) * width - car["lateral_position"]
-        steering = error / max(car["speed"], 1.0) - 3.0 * (car["yaw"] + car["yaw_rate"])
-        if generator is not None:
-            steering += noise * generator.uniform(-1.0, 1.0)
-        actions[env, slot, 0] = agent["direction"] * steering
+    rows = simulator.is_steering
+    agents = simulator.agents[rows]
+    cars = simulator.vehicles[rows.nonzero()[0], agents["vehicle"]]
+    is_back = agents["phase"] == Phase.ABORTING
+    lanes = np.where(is_back, agents["origin_lane"], agents["target_lane"])
+    error = (lanes + 0.5) * simulator.scenario.road.lane_width - cars["lateral_position"]
+    steering = error / np.maximum(cars["speed"], 1.0) - 3.0 * (cars["yaw"] + cars["yaw_rate"])
+    if generator is not None:
+        steering += noise * generator.uniform(-1.0, 1.0, steering.shape)
+    actions[rows, 0] = agents["direction"] * steering
     return actions
 
 

@@ -1,11 +1,15 @@
-"""Benchmarks that train or render run to their end; their figures need an idle machine."""
+"""Benchmarks that train, render or verify run to their end; speeds need an idle machine."""
 
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from marl_lanes import Simulator, list_scenarios
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
@@ -38,3 +42,80 @@ def test_the_pictures_of_a_second(tmp_path):
         row = figures[f"parallel_env {size}"]
         assert 1.0 < row["with_steps"] < row["alone"]
         assert f"{size} " in done.stdout
+
+
+def run(name, *arguments):
+    """The program's names, and its exit code, in this process."""
+    names = runpy.run_path(str(BENCHMARKS / f"{name}.py"))
+    return names, names["main"]([str(argument) for argument in arguments])
+
+
+@pytest.mark.slow
+def test_halving_the_time_step_halves_the_error(tmp_path):
+    file, figure = tmp_path / "figures.json", tmp_path / "figure.svg"
+    names, code = run("convergence", "--json", file, "--figure", figure)
+    assert code == 0
+    motions = json.loads(file.read_text(encoding="utf-8"))["motions"]
+    assert len(motions) == 4
+    for motion in motions.values():
+        assert motion["orders"] == pytest.approx([1.0] * 4, abs=0.2)
+        assert motion["orders"][-1] == pytest.approx(1.0, abs=names["TOLERANCE"])
+    assert figure.read_bytes().startswith(b"<?xml")
+
+
+SOAK = "--vehicle-steps", "1e5", "--roads", "2"
+
+
+@pytest.mark.slow
+def test_a_soak_of_all_scenarios(tmp_path, capsys):
+    file = tmp_path / "figures.json"
+    names, code = run("soak", *SOAK, "--json", file)
+    assert code == 0
+    figures = json.loads(file.read_text(encoding="utf-8"))
+    assert figures["vehicle_steps"] >= 1e5
+    assert figures["violations"] == {}
+    assert len(figures["scenarios"]) == 2 * len(list_scenarios())
+    assert all(row["vehicle_steps"] > 0 for row in figures["scenarios"].values())
+    assert figures["memory"]
+    assert "million vehicle-steps" in capsys.readouterr().err
+    assert names["Memory"]([(0, 0), (10**6, 5), (2 * 10**6, 105), (3 * 10**6, 205)]).slope == (
+        pytest.approx(100.0)
+    )
+
+
+SPOILS = {
+    "not finite": lambda road: road.vehicles["yaw"].__setitem__((0, first(road)), np.nan),
+    "negative speed": lambda road: road.vehicles["speed"].__setitem__((0, first(road)), -1.0),
+    "vehicles not conserved": lambda road: road.roads["num_left"].__iadd__(1),
+    "order": lambda road: road.vehicles["position"].__setitem__((0, first(road)), -1.0),
+    "commands": lambda road: road.roads["num_live"].__iadd__(1),
+}
+
+
+def first(road):
+    """Slot of the vehicle at the front."""
+    return road.state.order[0, 0]
+
+
+@pytest.mark.parametrize("name", SPOILS)
+def test_a_soak_finds_what_is_wrong(name):
+    find_violations = runpy.run_path(str(BENCHMARKS / "soak.py"))["find_violations"]
+    road = Simulator("dense", seed=3)
+    road.reset()
+    assert not find_violations(road).total()
+    SPOILS[name](road)
+    found = +find_violations(road)
+    assert set(found) == {name}
+
+
+def test_a_soak_that_is_ended_gives_its_result_so_far(monkeypatch, capsys):
+    def end(self, *_):
+        if (self.roads["step"] >= 60).any():
+            raise KeyboardInterrupt
+        advance(self)
+
+    advance = Simulator.advance
+    monkeypatch.setattr(Simulator, "advance", end)
+    _, code = run("soak", "--vehicle-steps", "1e9", "--roads", "1")
+    assert code == 130
+    assert "ended by Ctrl-C" in capsys.readouterr().out

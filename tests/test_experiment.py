@@ -23,7 +23,16 @@ def make_nothing(*_):
             ConfigError,
             "training_overrides: command.probability = 0: must be above 0",
         ),
-        (["+training_overrides.road.lanes=3"], ScenarioError, "road.lanes: unknown key"),
+        (
+            ["+training_overrides.road.num_lanes=1"],
+            ConfigError,
+            "training_overrides: scenario 'paper': road.num_lanes = 1: must be ",
+        ),
+        (
+            ["collector.num_envs=1_000_000_000"],
+            ValueError,
+            "collector.num_envs = 1000000000: needs",
+        ),
     ],
 )
 def test_what_cannot_be_trained_is_refused_before_a_file_is_written(
@@ -86,7 +95,7 @@ def test_a_dead_worker_ends_the_program_with_one_line(tmp_path):
     with pytest.raises(SystemExit) as caught:
         experiment.run(learner, None, None)
     assert caught.value.code == (
-        f"error: worker 0 of 1 has died; continue from the last saved model: resume={tmp_path}"
+        f"error: worker 0 of 1 has died; continue from the last training state: resume={tmp_path}"
     )
     assert learner.num_closed == 1
 

@@ -10,7 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from marl_lanes.files import copy_file, write_atomically, write_json
+from marl_lanes.files import (
+    copy_file,
+    lock_folder,
+    open_regular,
+    write_atomically,
+    write_json,
+)
 
 JSON = '{\n  "a": 1\n}\n'
 
@@ -50,6 +56,55 @@ def test_a_write_replaces_the_old_file_at_once(tmp_path):
     write_atomically(file, write)
     assert file.read_text(encoding="utf-8") == "new"
     assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    """After a power cut there is the old file or the new one, not an empty one."""
+    done = []
+
+    def sync(descriptor):
+        path = Path(f"/proc/self/fd/{descriptor}").readlink()
+        done.append((path, (tmp_path / "file.txt").exists()))
+
+    monkeypatch.setattr(os, "fsync", sync)
+    write_atomically(tmp_path / "file.txt", lambda temporary: temporary.write_text("new"))
+    (file, folder) = done
+    assert (file[0].parent, file[1]) == (tmp_path, False)
+    assert folder == (tmp_path, True)
+
+
+def test_what_is_no_file_is_not_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    for path in (tmp_path / "pipe", tmp_path / "link", tmp_path):
+        with pytest.raises(OSError, match="must be a regular file"):
+            open_regular(path)
+    with pytest.raises(FileNotFoundError):
+        open_regular(tmp_path / "none")
+    (tmp_path / "file").write_bytes(b"content")
+    (tmp_path / "other").symlink_to("file")
+    with open_regular(tmp_path / "other") as file:
+        assert file.read() == b"content"
+
+
+LOCKING = (
+    "import sys; from pathlib import Path; from marl_lanes.files import LockedError, lock_folder\n"
+    "try: file = lock_folder(Path(sys.argv[1]))\n"
+    "except LockedError: print('locked')\n"
+    "else: print('free')"
+)
+
+
+def test_a_folder_is_locked_for_other_processes_until_it_is_released(tmp_path):
+    def ask():
+        command = [sys.executable, "-c", LOCKING, str(tmp_path)]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+    with lock_folder(tmp_path):
+        assert ask() == "locked\n"
+    assert ask() == "free\n"
+    # A lock of a process that has ended does not count, its file neither.
+    lock_folder(tmp_path).close()
 
 
 def test_json_holds_no_nan(tmp_path):

@@ -17,7 +17,8 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 FOLDERS = ["agents", "benchmarks", "docs", "marl_lanes", "scenarios", "tests"]
-FILES = [".ci/run", "LICENSE", "Makefile", "README.md", "constraints.txt", "pyproject.toml"]
+FILES = [".ci/run", "CHANGELOG.md", "LICENSE", "Makefile", "README.md", "SECURITY.md"]
+FILES += ["constraints.txt", "constraints-lowest.txt", "constraints-newest.txt", "pyproject.toml"]
 MAX_LINES = 420
 
 UNTESTED = {
@@ -54,15 +55,14 @@ def tracked():
 
 
 def requirements():
-    lists = [PROJECT["dependencies"], *(EXTRAS[name] for name in ("view", "train", "dev"))]
+    lists = [PROJECT["dependencies"], *(EXTRAS[name] for name in ("view", "train", "ray", "dev"))]
     parsed = {Requirement(text) for lines in lists for text in lines}
     return sorted((one for one in parsed if one.name != PROJECT["name"]), key=str)
 
 
-@pytest.fixture(scope="module")
-def pins():
-    """Versions of constraints.txt by canonical name."""
-    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+def read_pins(name):
+    """Versions of a file of constraints by canonical name."""
+    lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
     found = {}
     for line in (text.split("#")[0].strip() for text in lines):
         if line:
@@ -72,6 +72,9 @@ def pins():
             assert canonicalize_name(constraint.name) not in found, line
             found[canonicalize_name(constraint.name)] = Version(specifier.version)
     return found
+
+
+PINS = {path.name: read_pins(path.name) for path in ROOT.glob("constraints*.txt")}
 
 
 @pytest.mark.parametrize("name", FOLDERS)
@@ -93,12 +96,13 @@ def test_the_ci_command_can_be_executed():
 
 
 @pytest.mark.parametrize("requirement", requirements(), ids=lambda one: one.name)
-def test_every_dependency_is_pinned_within_its_range(requirement, pins):
+def test_every_dependency_is_pinned_within_its_range(requirement):
     name = canonicalize_name(requirement.name)
-    assert name in pins
-    assert requirement.specifier.contains(pins[name])
-    # Every dependency needs a lower bound.
-    assert any(one.operator in {">=", "==", "~="} for one in requirement.specifier)
+    for file in ("constraints.txt", "constraints-newest.txt"):
+        assert requirement.specifier.contains(PINS[file][name])
+    # Every dependency needs a lower bound, and the tests are run with it.
+    (lowest,) = (Version(one.version) for one in requirement.specifier if one.operator == ">=")
+    assert PINS["constraints-lowest.txt"][name] == lowest
 
 
 @pytest.mark.parametrize("name", ["numba", "tensordict", "torch", "torchrl"])

@@ -8,8 +8,11 @@ With rounds=0 one follower learns against the changer. With rounds=K followers a
 take turns, K times; the changer learns against all followers so far.
 """
 
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from math import ceil
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -18,14 +21,15 @@ import torch
 from pydantic import Field, field_validator
 from tqdm import tqdm
 
-from marl_lanes import LaneChangeEnv, Scenario, ScenarioError, load_scenario
+from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
 from marl_lanes.envs.followers import follower_policy, load_follower
 from marl_lanes.evaluation.crossplay import crossplay
-from marl_lanes.evaluation.driving import Policy
+from marl_lanes.evaluation.driving import Policy, check_first_command
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.recording import record_maneuvers
 from marl_lanes.evaluation.rollout import check_episodes
 from marl_lanes.evaluation.tables import format_crossplay
+from marl_lanes.extras import need
 from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy
 from marl_lanes.scenario.fields import NonNegative
@@ -34,28 +38,34 @@ from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.naf import NAF, NAFConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
-from marl_lanes.training.command_line import read_command_line
+from marl_lanes.training.collected import load_collected
+from marl_lanes.training.command_line import read_command_line, refusing
 from marl_lanes.training.config import (
-    CONFIG_FILE,
     ConfigError,
     CountOrZero,
     EvaluationConfig,
     ProgramConfig,
     Widths,
     read_config,
-    write_config,
 )
+from marl_lanes.training.failures import ending
+from marl_lanes.training.inputs import SUMS_FILE, check_inputs, keep_inputs, read_scenario
 from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.run_folder import (
     FINAL_MODEL,
     STATE_FILE,
     TIMES_FILE,
     check_empty,
+    lock_run,
 )
+from marl_lanes.training.sizes import check_networks, check_sizes
+from marl_lanes.training.terminal import lenient_streams
 from marl_lanes.training.transitions import LivePolicy
 
 MODEL = f"checkpoints/{FINAL_MODEL}"
 """The trained policy in the folder of a phase."""
+CHANGER_FILE = "initial_changer.pt"
+"""A copy of the changer to learn against, in the run folder."""
 FOLDER = Path(__file__).parent
 
 
@@ -117,15 +127,14 @@ class AdversaryConfig(ProgramConfig):
         return shares
 
 
+@lenient_streams()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, evaluate, report."""
-    try:
+    with refusing():
         config = read(arguments)
-        torch.set_num_threads(config.num_threads)
         run = Run(config)
+    with ending(run.output):
         result = run.take_turns() if config.rounds else run.train_one_follower()
-    except (ConfigError, ScenarioError, CheckpointError, OSError) as error:
-        sys.exit(f"error: {error}")
     if result is None:
         print(f"interrupted; continue with resume={config.output}")
         return
@@ -149,16 +158,58 @@ class Run:
         self.config = config
         self.output = Path(config.output)
         self.device = torch.device(config.device)
+        is_new = config.resume is None
         self.changer = Path(config.changer)
-        objective = {"followers": {"learned": {"objective": config.objective}}}
-        self.scenario = load_scenario(config.scenario, objective)
-        check_episodes(self.scenario)
-        self.training_scenario = load_scenario(self.scenario, config.training_overrides)
-        if self.training_scenario.command.probability == 0.0:
-            raise ConfigError("training_overrides: command.probability = 0: must be above 0")
-        load_checkpoint(self.changer, self.scenario)
-        if config.resume is None:
+        if is_new:
             check_empty(self.output)
+        else:
+            check_inputs(self.output, [CHANGER_FILE])
+        objective = {"followers": {"learned": {"objective": config.objective}}}
+        self.scenario = (
+            load_scenario(config.scenario, objective) if is_new else read_scenario(self.output)
+        )
+        self.training_scenario = load_collected(self.scenario, config.training_overrides)
+        self._check(check_episodes(self.scenario))
+
+    def _check(self, num_commands: int) -> None:
+        """Refuse what does not fit in memory, a changer that is none, and too short a horizon."""
+        config = self.config
+        widths, num_features = config.follower.hidden_sizes, len(FOLLOWER.seen(self.scenario))
+        name = "follower.hidden_sizes"
+        check_networks(config.follower, name, widths, num_features, "follower.")
+        parts: dict[str, ChangerConfig] = {"follower": config.follower}
+        if config.rounds:
+            parts["hardening"] = config.hardening
+        for name, part in parts.items():
+            check_sizes(part, self.training_scenario, self.scenario, f"{name}.")
+        try:
+            self._load_changer(self.changer)
+        except CheckpointError as error:
+            raise ConfigError(f"changer = {config.changer!r}: {error}") from None
+        torch.set_num_threads(config.num_threads)
+        for part in parts.values():
+            if part.evaluation.record:
+                need("pyarrow", "view")
+            num_roads = ceil(part.evaluation.num_maneuvers / num_commands)
+            check_first_command(self.scenario, num_roads, part.evaluation.saved_models_seed)
+
+    @property
+    def _kept_changer(self) -> Path:
+        return self.output / CHANGER_FILE
+
+    def _load_changer(self, path: Path) -> NAFNetwork:
+        """A changer's network. That to learn against is read from the run's copy once it is there.
+
+        Raises:
+            CheckpointError: it cannot be read, or does not fit the scenario.
+        """
+        if path == self.changer and self._kept_changer.exists():
+            path = self._kept_changer
+        return load_checkpoint(path, self.scenario).network
+
+    def _keep_inputs(self) -> None:
+        files = {CHANGER_FILE: self.changer}
+        self.scenario = keep_inputs(self.output, self.config, self.scenario, files)
 
     def train_one_follower(self) -> dict[str, Any] | None:
         """A follower, and its comparison with the scripted ones; None when interrupted."""
@@ -176,6 +227,12 @@ class Run:
 
     def take_turns(self) -> dict[str, Any] | None:
         """The changer hardened against its followers, and its report; None when interrupted."""
+        with closing(lock_run(self.output)):
+            if self.config.resume is None:
+                check_empty(self.output)
+            return self._take_turns()
+
+    def _take_turns(self) -> dict[str, Any] | None:
         changer, pool = self.changer, dict[str, FollowerPolicy]()
         for turn in range(self.config.rounds):
             folder = self.output / f"round_{turn + 1}"
@@ -201,7 +258,7 @@ class Run:
     def _train_follower(self, folder: Path, changer: Path, *, phase: int) -> bool:
         """Train a follower of its own against the frozen changer."""
         config = self.config.follower
-        driver = load_checkpoint(changer, self.scenario).network
+        driver = self._load_changer(changer)
         scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
 
         def make() -> Learner:
@@ -250,7 +307,7 @@ class Run:
                 overrides=mix,
                 follower_policies=pool,
             )
-            network = load_checkpoint(changer, self.scenario).network
+            network = self._load_changer(changer)
             algorithm = NAF(config, env, network, device=self.device, acting_device=self.device)
             return Learner(config, env, algorithm)
 
@@ -268,16 +325,22 @@ class Run:
         if (folder / TIMES_FILE).exists():
             return True
         learner = make()
-        if (folder / STATE_FILE).exists():
+        is_begun = (folder / STATE_FILE).exists()
+        if folder == self.output:
+            is_begun |= self.config.resume is not None
+        elif not is_begun:
+            # What a phase has left that was killed before its first training state.
+            shutil.rmtree(folder, ignore_errors=True)
+        if is_begun:
             learner.resume(folder)
         else:
-            learner.begin(folder)
-        if not (self.output / CONFIG_FILE).exists():
-            write_config(self.output / CONFIG_FILE, self.config)
+            is_first = not (self.output / SUMS_FILE).exists()
+            learner.begin(folder, self._keep_inputs if is_first else None)
         print(f"{folder}:", file=sys.stderr)
-        is_complete = learner.train(evaluate_model)
-        learner.close()
-        return is_complete
+        try:
+            return learner.train(evaluate_model)
+        finally:
+            learner.close()
 
     def _seed(self, phase: int) -> int:
         """Seed torch for the phase, whatever was drawn before it; also the seed of its traffic."""
@@ -293,9 +356,7 @@ class Run:
         policies: Mapping[str, FollowerPolicy] | None = None,
     ) -> dict[str, Any]:
         """Every changer against every kind of follower."""
-        networks = {
-            label: load_checkpoint(path, self.scenario).network for label, path in changers.items()
-        }
+        networks = {label: self._load_changer(path) for label, path in changers.items()}
         number = settings.final_num_maneuvers
         total = number * len(changers) * len(followers)
         with tqdm(total=total, unit="maneuver", desc="evaluating") as bar:

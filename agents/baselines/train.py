@@ -7,7 +7,6 @@ ALGORITHM is td3. Its YAML file in this folder has its values; ALGORITHM --help 
 """
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -20,12 +19,14 @@ from marl_lanes.experiment import run, start
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.td3 import TD3, TD3Config
 from marl_lanes.training.checkpoint import make_actor_network
-from marl_lanes.training.command_line import describe_command, read_command_line
+from marl_lanes.training.command_line import Parser, describe_command, read_command_line, refusing
 from marl_lanes.training.config import (
     ChangersConfig,
     DistributedCollectorConfig,
     read_changers_config,
 )
+from marl_lanes.training.sizes import check_networks
+from marl_lanes.training.terminal import lenient_streams
 
 FOLDER = Path(__file__).parent
 PROGRAM = "agents/baselines/train.py"
@@ -46,7 +47,9 @@ def make_td3(
     acting_device: torch.device,
 ) -> TD3:
     """TD3 with an untrained actor."""
-    network = make_actor_network(scenario, config.network.hidden_sizes)
+    widths = config.network.hidden_sizes
+    check_networks(config, "network.hidden_sizes", widths, len(scenario.observation.features))
+    network = make_actor_network(scenario, widths)
     return TD3(config, env, network, device=device, acting_device=acting_device)
 
 
@@ -60,9 +63,10 @@ class Baseline(NamedTuple):
 BASELINES = {"td3": Baseline(TD3TrainingConfig, make_td3)}
 
 
+@lenient_streams()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, evaluate, report."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=__doc__,
         usage="%(prog)s ALGORITHM [FIELD=VALUE ...] [--cfg job]",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -71,12 +75,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("overrides", nargs=argparse.REMAINDER, metavar="FIELD=VALUE")
     options = parser.parse_args(arguments)
     baseline = BASELINES[options.algorithm]
-    try:
+    with refusing():
         config = read(options.algorithm, options.overrides)
         command = describe_command(PROGRAM, arguments)
         learner, scenario = start(config, partial(baseline.make, config), command)
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
     run(learner, config, scenario)
 
 

@@ -5,7 +5,7 @@ python agents/cascade/tune.py [--scenario paper] [--generations 30] [--populatio
 """
 
 import argparse
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,19 @@ from tqdm import trange
 
 from marl_lanes import ScenarioError, Simulator
 from marl_lanes.files import write_json
+from marl_lanes.memory import check_memory
 from marl_lanes.naf.lateral import TUNED_CASCADE, CascadeGains, steer_by_cascade
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.traffic.simulator import bytes_of_road
+from marl_lanes.training.command_line import Parser, refusing
+from marl_lanes.training.terminal import lenient_streams
 
 LOWEST = CascadeGains(limit=0.2, time=0.8, lateral_limit=0.3, lag=0.08, damping=0.4, threshold=0.0)
 HIGHEST = CascadeGains(limit=0.5, time=2.5, lateral_limit=1.0, lag=0.3, damping=1.4, threshold=0.06)
+MAX_COUNT = 10**6
+MAX_SECONDS = 86_400.0
 ELITE_SHARE = 0.15
 """Share of a generation from which the next one is drawn."""
 LEAST_SPREAD = 0.002
@@ -28,16 +35,15 @@ LEAST_SPREAD = 0.002
 STEERING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
 
 
-def main() -> None:
+@lenient_streams()
+def main(arguments: Sequence[str] | None = None) -> None:
     """Search, print, write."""
-    options = parse()
-    try:
+    options = parse(arguments)
+    with refusing():
         scenario = load_scenario(options.scenario)
         roads = Roads(scenario, options.population, options.roads, options.seconds, options.seed)
         result = search(roads, options.generations, options.seed)
-    except ScenarioError as error:
-        sys.exit(f"error: {error}")
-    write_json(options.output, {"scenario": scenario.name, **vars_of(options), **result})
+        write_json(options.output, {"scenario": scenario.name, **vars_of(options), **result})
     for name, value in result.items():
         print(f"{name}: {value}")
 
@@ -71,6 +77,7 @@ class Roads:
         self.population, self.roads = population, roads
         self.seconds, self.num_steps = seconds, round(seconds / scenario.time_step)
         self.seed = seed
+        check_memory("--population", population, bytes_of_road(scenario) * population * roads)
         self.simulator = Simulator(
             scenario,
             population * roads,
@@ -143,9 +150,9 @@ def search(roads: Roads, generations: int, seed: int) -> dict[str, object]:
     }
 
 
-def parse() -> argparse.Namespace:
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = Parser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--scenario", default="paper", help="name or YAML file (default: paper)")
     parser.add_argument("--generations", type=int, default=30, help="default: 30")
     parser.add_argument("--population", type=int, default=64, help="candidates (default: 64)")
@@ -155,14 +162,17 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, default=0, help="default: 0")
     parser.add_argument("--output", type=Path, required=True, help="JSON file to write")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     for name in ("generations", "population", "roads"):
-        if getattr(options, name) < 1:
-            parser.error(f"--{name} {getattr(options, name)}: must be at least 1")
-    if not 0.0 < options.seconds < float("inf"):
-        parser.error(f"--seconds {options.seconds}: must be above 0 and finite")
+        if not 1 <= getattr(options, name) <= MAX_COUNT:
+            value = shown(getattr(options, name))
+            parser.error(f"--{name} {value}: must be at least 1, at most {MAX_COUNT}")
+    if not 0.0 < options.seconds <= MAX_SECONDS:
+        parser.error(f"--seconds {options.seconds}: must be above 0 and at most {MAX_SECONDS:g}")
     if not 0 <= options.seed < 2**63:
-        parser.error(f"--seed {options.seed}: must be at least 0 and below 2^63")
+        parser.error(f"--seed {shown(options.seed)}: must be at least 0 and below 2^63")
+    if options.output.is_dir() or any(above.is_file() for above in options.output.parents):
+        parser.error(f"--output {shown(str(options.output))}: must be a file in a folder")
     return options
 
 

@@ -7,8 +7,7 @@ python agents/naf/train.py [scenario=NAME] [recipe=fast|interactive|paper] [netw
 A scenario with two actions gets the recipe interactive, others the recipe fast.
 """
 
-import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -16,23 +15,25 @@ import torch
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
 from marl_lanes.experiment import run, start
+from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
-from marl_lanes.training.command_line import Fields, describe_command, read_command_line
+from marl_lanes.training.command_line import Fields, describe_command, read_command_line, refusing
 from marl_lanes.training.config import ConfigError, read_changers_config
+from marl_lanes.training.sizes import check_networks
+from marl_lanes.training.terminal import lenient_streams
 
 FOLDER = Path(__file__).parent
 PROGRAM = "agents/naf/train.py"
 
 
+@lenient_streams()
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, evaluate, report."""
-    try:
+    with refusing():
         config = read(arguments)
         command = describe_command(PROGRAM, arguments)
         learner, scenario = start(config, partial(make_algorithm, config), command)
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
     run(learner, config, scenario)
 
 
@@ -45,7 +46,10 @@ def read(arguments: Sequence[str] | None = None) -> TrainingConfig:
 
 def choose_recipe(fields: Fields) -> str:
     """The recipe for the scenario, if the command line names none."""
-    scenario = load_scenario(str(fields.get("scenario")))
+    name = fields["scenario"]
+    if isinstance(name, Mapping | list) or name is None:
+        return "fast"  # which is refused later
+    scenario = load_scenario(str(name))
     return "fast" if scenario.action.longitudinal is None else "interactive"
 
 
@@ -64,14 +68,22 @@ def make_algorithm(
 def start_network(config: TrainingConfig, scenario: Scenario) -> NAFNetwork:
     """The network as the training finds it: untrained, or that of the initial checkpoint."""
     form = config.network
-    network = make_network(
-        scenario, form.mu, form.hidden_sizes, knows_action_cost=form.knows_action_cost
-    )
+    num_features = len(scenario.observation.features)
+    check_networks(config, "network.hidden_sizes", form.hidden_sizes, num_features)
+    try:
+        network = make_network(
+            scenario, form.mu, form.hidden_sizes, knows_action_cost=form.knows_action_cost
+        )
+    except ValueError as error:
+        raise ConfigError(f"network.mu = {form.mu!r}: {error}") from None
     path = config.initial_checkpoint
     # A run that is resumed has weights of its own.
     if path is None or config.resume is not None:
         return network
-    initial = load_checkpoint(Path(path), scenario).network
+    try:
+        initial = load_checkpoint(Path(path), scenario).network
+    except CheckpointError as error:
+        raise ConfigError(f"initial_checkpoint = {path!r}: {error}") from None
     for name, wanted, found in (
         ("mu", network.mu_name, initial.mu_name),
         ("hidden_sizes", network.hidden_sizes, initial.hidden_sizes),

@@ -7,9 +7,9 @@ from typing import NamedTuple, Protocol
 
 from marl_lanes.evaluation.driving import Policy
 from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
-from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
+from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.training.checkpoint import load_policy
-from marl_lanes.training.config import read_scenario_name
+from marl_lanes.training.inputs import find_scenario
 from marl_lanes.training.run_folder import CHECKPOINTS_FOLDER, FINAL_MODEL
 
 
@@ -73,11 +73,8 @@ class RunModels:
     def __init__(
         self, folder: Path, scenario: Scenario | None, *, warn: Callable[[str], object]
     ) -> None:
-        name = read_scenario_name(folder)
-        try:
-            self.scenario = load_scenario(name) if scenario is None else scenario
-        except ScenarioError as error:
-            raise ScenarioError(f"run {folder}: {error}") from None
+        path = find_scenario(folder)
+        self.scenario = load_scenario(path) if scenario is None else scenario
         self.folder = folder
         self.waiting = f"{folder} has no saved model yet; the first one will drive"
         self.trouble: str | None = None

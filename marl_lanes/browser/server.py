@@ -40,6 +40,12 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 
+_MAX_HEAD = 16 * 1024
+"""[bytes] Of a request before its body, which is never read."""
+
+_MAX_CONNECTIONS = 256
+"""More get the status 503; a browser opens a few."""
+
 _SECONDS_TO_LEAVE = 0.3
 """[s] At the end, after which connections are cut."""
 
@@ -118,7 +124,10 @@ def make_app(hub: Hub, index: str) -> Starlette:
 
     async def stream(request: Request) -> Response:
         # Another site's page cannot read the stream, but could take the places of viewers.
-        if request.headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
+        own = f"http://{request.headers['host']}"
+        is_own = request.headers.get("origin", own) == own
+        site = request.headers.get("sec-fetch-site", "same-origin")
+        if not is_own or site not in ("same-origin", "none"):
             return PlainTextResponse("only for the page of this server", 403, _HEADERS)
         if request.method == "HEAD":
             return Response(headers=_HEADERS, media_type="text/event-stream")
@@ -156,6 +165,8 @@ class LiveServer(uvicorn.Server):
                 server_header=False,
                 lifespan="off",
                 http="h11",
+                h11_max_incomplete_event_size=_MAX_HEAD,
+                limit_concurrency=_MAX_CONNECTIONS,
                 ws="none",
                 loop="asyncio",
             )

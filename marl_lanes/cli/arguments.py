@@ -4,13 +4,14 @@ import argparse
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any, TypeAlias
 
 from marl_lanes.cli.policies import UNTRAINED
-from marl_lanes.extras import need
+from marl_lanes.cli.values import MAX_SEED, file_name, whole_number
 from marl_lanes.scenario.followers import SCRIPTED
+from marl_lanes.scenario.messages import shown
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """What a module of commands adds its parsers to."""
@@ -61,11 +62,26 @@ def add_traffic(parser: argparse.ArgumentParser, *, num_maneuvers: int) -> None:
     parser.add_argument("--scenario", default="paper", help="name or YAML file (default: paper)")
     parser.add_argument(
         "--maneuvers",
-        type=int,
+        type=whole_number(1),
         default=num_maneuvers,
         help=f"number of maneuvers (default: {num_maneuvers})",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the traffic (default: 0)")
+    add_seed(parser, default=0)
+
+
+def add_seed(parser: argparse.ArgumentParser, *, default: int | None) -> None:
+    """Add --seed.
+
+    Args:
+        parser: the command's parser.
+        default: 0, or None where it matters whether it is given.
+    """
+    parser.add_argument(
+        "--seed",
+        type=whole_number(0, MAX_SEED),
+        default=default,
+        help="seed of the traffic (default: 0)",
+    )
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -83,7 +99,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add --json, a file for the results."""
-    parser.add_argument("--json", type=Path, help="also write the results to this file")
+    parser.add_argument("--json", type=file_name, help="also write the results to this file")
 
 
 def add_figure(parser: argparse.ArgumentParser, drawn: str, *, is_required: bool) -> None:
@@ -96,7 +112,7 @@ def add_figure(parser: argparse.ArgumentParser, drawn: str, *, is_required: bool
     """
     parser.add_argument(
         "--figure",
-        type=Path,
+        type=file_name,
         action="append",
         required=is_required,
         default=None if is_required else [],
@@ -106,46 +122,6 @@ def add_figure(parser: argparse.ArgumentParser, drawn: str, *, is_required: bool
     )
 
 
-def check_outputs(json: Path | None, figures: Sequence[Path] = ()) -> None:
-    """Reject outputs that cannot be written, before anything is computed.
-
-    Args:
-        json: the value of --json.
-        figures: the values of --figure.
-
-    Raises:
-        ValueError: a file is a folder, no figure can have its name, or matplotlib is missing.
-    """
-    if json is not None and json.is_dir():
-        raise ValueError(f"--json {json}: must be a file, not a folder")
-    if not figures:
-        return
-    if find_spec("matplotlib") is None:
-        raise ValueError("--figure: needs matplotlib: pip install 'marl-lanes[train]'")
-    from marl_lanes.evaluation.figures import check_figure
-
-    for figure in figures:
-        check_figure(figure)
-
-
-def check_trajectories(path: Path | None) -> None:
-    """Reject a file of trajectories that cannot be written, before anything is computed.
-
-    Args:
-        path: the value of --trajectories.
-
-    Raises:
-        ValueError: it is a folder, or not named as Parquet files are, or pyarrow is missing.
-    """
-    if path is None:
-        return
-    if path.suffix.lower() != ".parquet":
-        raise ValueError(f"--trajectories {path}: must end in .parquet")
-    if path.is_dir():
-        raise ValueError(f"--trajectories {path}: must be a file, not a folder")
-    need("pyarrow", "view")
-
-
 def import_modules(names: Sequence[str]) -> None:
     """Import the user's modules, from the current folder, too.
 
@@ -153,7 +129,7 @@ def import_modules(names: Sequence[str]) -> None:
         names: dotted names, the values of --import.
 
     Raises:
-        ValueError: one is not a dotted name, or cannot be imported.
+        ValueError: one is not a dotted name, cannot be found, or raises an error.
     """
     # An installed command does not search the current folder for modules by itself.
     folder = str(Path.cwd())
@@ -161,10 +137,18 @@ def import_modules(names: Sequence[str]) -> None:
     try:
         for name in names:
             if not all(part.isidentifier() for part in name.split(".")):
-                raise ValueError(f"--import {name}: must be the dotted name of a module")
+                raise ValueError(f"--import {shown(name)}: must be the dotted name of a module")
             try:
                 import_module(name)
-            except ImportError as error:
-                raise ValueError(f"--import {name}: {error}") from None
+            except (Exception, SystemExit) as error:
+                raise ValueError(f"--import {name}: {_describe(error)}") from None
     finally:
         sys.path.remove(folder)
+
+
+def _describe(error: BaseException) -> str:
+    """What a module of the user raised, and where."""
+    if isinstance(error, ImportError):
+        return str(error)
+    (*_, last) = extract_tb(error.__traceback__)
+    return f"{type(error).__name__}: {error} ({last.filename}, line {last.lineno})"

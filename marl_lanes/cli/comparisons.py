@@ -1,7 +1,6 @@
 """Commands that drive policies on seeded traffic and compare what they achieve."""
 
 import argparse
-from pathlib import Path
 
 from marl_lanes.cli.arguments import (
     Commands,
@@ -11,15 +10,16 @@ from marl_lanes.cli.arguments import (
     add_json,
     add_policy,
     add_traffic,
-    check_outputs,
-    check_trajectories,
     import_modules,
 )
-from marl_lanes.cli.names import label_changers, label_followers
+from marl_lanes.cli.names import label_changers, label_followers, saved_followers
+from marl_lanes.cli.outputs import check_figures, check_outputs, check_trajectories
 from marl_lanes.cli.policies import UNTRAINED, make_policy
 from marl_lanes.cli.progress import Progress
+from marl_lanes.cli.values import file_name, whole_number
 from marl_lanes.scenario import load_scenario
 from marl_lanes.scenario.followers import SCRIPTED
+from marl_lanes.terminal import say
 
 
 def add(commands: Commands) -> None:
@@ -44,7 +44,7 @@ def _add_evaluate(commands: Commands) -> None:
     add_json(evaluate)
     evaluate.add_argument(
         "--trajectories",
-        type=Path,
+        type=file_name,
         metavar="FILE",
         help="also record all roads to this file (.parquet), for `marl-lanes record` and others",
     )
@@ -90,7 +90,7 @@ def _add_comparison_of_followers(commands: Commands) -> None:
     add_json(followers)
     followers.add_argument(
         "--maneuver",
-        type=int,
+        type=whole_number(),
         help="index of the maneuver to draw, from 0 (default: the first that engages with a "
         "follower near)",
     )
@@ -105,29 +105,29 @@ def _evaluate(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.tables import format_summary
     from marl_lanes.files import write_json
 
-    check_outputs(options.json)
+    name = options.policy or options.checkpoint
+    outputs = [("--json", options.json), ("--trajectories", options.trajectories)]
+    check_outputs(outputs, [name, options.scenario])
     check_trajectories(options.trajectories)
     import_modules(options.modules)
     scenario = load_scenario(options.scenario)
-    name = options.policy or options.checkpoint
     policy = make_policy(name, scenario, options.seed)
-    number = max(1, options.maneuvers)
-    show = Progress("evaluating", 2 * number)
-    maneuvers = record_maneuvers(
-        options.trajectories,
-        name,
-        scenario,
-        policy,
-        options.maneuvers,
-        seed=options.seed,
-        progress=lambda count: show(min(count, number)),
-    )
-    summary = evaluate(maneuvers, scenario, progress=lambda count: show(number + count))
-    show.close()
+    number = options.maneuvers
+    with Progress("evaluating", 2 * number) as show:
+        maneuvers = record_maneuvers(
+            options.trajectories,
+            name,
+            scenario,
+            policy,
+            number,
+            seed=options.seed,
+            progress=lambda count: show(min(count, number)),
+        )
+        summary = evaluate(maneuvers, scenario, progress=lambda count: show(number + count))
     result = {"scenario": scenario.name, "policy": name, "seed": options.seed, **summary}
-    print(format_summary(result))
     if options.json is not None:
         write_json(options.json, result)
+    say(format_summary(result))
 
 
 def _crossplay(options: argparse.Namespace) -> None:
@@ -135,18 +135,19 @@ def _crossplay(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.tables import format_crossplay
     from marl_lanes.files import write_json
 
-    check_outputs(options.json, options.figures)
-    import_modules(options.modules)
     sources = label_changers(options.changers)
+    followers = label_followers(options.followers)
+    outputs = [("--json", options.json), *(("--figure", path) for path in options.figures)]
+    inputs = [options.scenario, *saved_followers(followers)]
+    check_outputs(outputs, [*inputs, *(part for source in sources.values() for part in source)])
+    check_figures(options.figures)
+    import_modules(options.modules)
     changers = {}
     for label, (name, source) in sources.items():
         scenario = load_scenario(source or options.scenario)
         changers[label] = scenario, make_policy(name, scenario, options.seed)
-    followers = label_followers(options.followers)
-    show = Progress("driving", len(changers) * len(followers) * options.maneuvers)
-    result = crossplay(changers, followers, options.maneuvers, seed=options.seed, progress=show)
-    show.close()
-    print(format_crossplay(result))
+    with Progress("driving", len(changers) * len(followers) * options.maneuvers) as show:
+        result = crossplay(changers, followers, options.maneuvers, seed=options.seed, progress=show)
     if options.json is not None:
         policies = {label: name for label, (name, _) in sources.items()}
         write_json(options.json, {**result, "policies": policies})
@@ -154,6 +155,7 @@ def _crossplay(options: argparse.Namespace) -> None:
         from marl_lanes.evaluation.figures import draw_crossplay
 
         draw_crossplay(options.figures, result)
+    say(format_crossplay(result))
 
 
 def _compare_followers(options: argparse.Namespace) -> None:
@@ -161,26 +163,27 @@ def _compare_followers(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.tables import format_gaps
     from marl_lanes.files import write_json
 
-    check_outputs(options.json, options.figures)
+    name = options.policy or options.checkpoint or "tuned-cascade"
+    followers = label_followers(options.followers)
+    outputs = [("--json", options.json), *(("--figure", path) for path in options.figures)]
+    check_outputs(outputs, [name, options.scenario, *saved_followers(followers)])
+    check_figures(options.figures)
     import_modules(options.modules)
     from marl_lanes.evaluation.figures import draw_gaps
 
     scenario = load_scenario(options.scenario)
-    name = options.policy or options.checkpoint or "tuned-cascade"
     policy = make_policy(name, scenario, options.seed)
-    followers = label_followers(options.followers)
-    show = Progress("driving", len(followers) * options.maneuvers)
-    result = compare_followers(
-        scenario,
-        policy,
-        followers,
-        options.maneuvers,
-        seed=options.seed,
-        maneuver=options.maneuver,
-        progress=show,
-    )
-    show.close()
-    print(format_gaps(result))
+    with Progress("driving", len(followers) * options.maneuvers) as show:
+        result = compare_followers(
+            scenario,
+            policy,
+            followers,
+            options.maneuvers,
+            seed=options.seed,
+            maneuver=options.maneuver,
+            progress=show,
+        )
     if options.json is not None:
         write_json(options.json, {"policy": name, **result})
     draw_gaps(options.figures, result)
+    say(format_gaps(result))

@@ -70,6 +70,16 @@ def label_followers(entries: Sequence[str]) -> dict[str, dict[str, Any]]:
     return found
 
 
+def as_text(name: str) -> str:
+    """A name with escapes for bytes that are no text: such a label could not be drawn."""
+    return name.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def saved_followers(followers: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """The checkpoints among ``label_followers``."""
+    return [one["learned"]["checkpoint"] for one in followers.values() if "learned" in one]
+
+
 def _refuse_repeats(option: str, entries: Sequence[str]) -> None:
     for entry, count in Counter(entries).items():
         if count > 1:
@@ -95,6 +105,7 @@ def _shorten(parts: Mapping[str, Sequence[str]]) -> dict[str, str]:
         shared = [entry for entry, label in labels.items() if counts[label] > 1]
         longer = [entry for entry in shared if depths[entry] < len(parts[entry])]
         if not longer:
-            return labels | {entry: entry for entry in shared}
+            labels |= {entry: entry for entry in shared}
+            return {entry: as_text(label) for entry, label in labels.items()}
         for entry in longer:
             depths[entry] += 1

@@ -4,16 +4,25 @@ import argparse
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from marl_lanes.cli.arguments import Commands, add_followers, add_import, import_modules
+from marl_lanes.cli.arguments import (
+    Commands,
+    add_followers,
+    add_import,
+    add_seed,
+    import_modules,
+)
+from marl_lanes.cli.outputs import check_outputs
 from marl_lanes.cli.policies import UNTRAINED
 from marl_lanes.cli.progress import Progress
-from marl_lanes.cli.tracks import RECORDED, Track, make_tracks
+from marl_lanes.cli.tracks import RECORDED, Track, make_tracks, read_inputs
+from marl_lanes.cli.values import file_name, number, whole_number
 from marl_lanes.extras import need
-from marl_lanes.rendering.options import ViewOptions
+from marl_lanes.rendering.options import SPAN, SPEED, ViewOptions
+from marl_lanes.scenario.messages import shown
+from marl_lanes.terminal import say
 
 if TYPE_CHECKING:
     from marl_lanes.rendering.excerpt import Excerpt
@@ -22,6 +31,9 @@ FILMS = (".mp4", ".gif")
 STILL = ".png"
 DATA = (".parquet", ".csv", ".fcd.xml")
 SUFFIXES = (*FILMS, STILL, *DATA)
+
+MAX_TIME = 1e9
+"""[s] A limit for what is typed; episodes end long before."""
 
 _ROUNDING = 1e-6
 """[s]"""
@@ -66,15 +78,15 @@ def add(commands: Commands) -> None:
         "--out",
         action="append",
         required=True,
-        type=Path,
+        type=file_name,
         metavar="FILE",
         help=f"the suffix chooses: {', '.join(SUFFIXES)}; may be given several times",
     )
     record.add_argument("--scenario", default=None, help="name or YAML file (default: paper)")
-    record.add_argument("--seed", type=int, default=None, help="seed of the traffic (default: 0)")
+    add_seed(record, default=None)
     record.add_argument(
         "--road",
-        type=int,
+        type=whole_number(),
         help="index of the road within the seed's roads, as in an evaluation (default: 0, or the "
         "first that is recorded)",
     )
@@ -86,13 +98,24 @@ def add(commands: Commands) -> None:
 
 
 def _add_part(record: argparse.ArgumentParser) -> None:
+    time = number(0.0, MAX_TIME, unit=" s")
     part = record.add_argument_group("which part")
-    part.add_argument("--maneuver", type=int, metavar="K", help="that of changer_K")
-    part.add_argument("--start", type=float, metavar="S", help="first time [s] (default: 0)")
-    part.add_argument("--seconds", type=float, metavar="S", help="how long (default: to the end)")
+    part.add_argument("--maneuver", type=whole_number(), metavar="K", help="that of changer_K")
+    part.add_argument(
+        "--start",
+        type=time,
+        metavar="S",
+        help="first time [s] (default: 0)",
+    )
+    part.add_argument(
+        "--seconds",
+        type=time,
+        metavar="S",
+        help="how long (default: to the end)",
+    )
     part.add_argument(
         "--at",
-        type=float,
+        type=time,
         metavar="S",
         help=f"time of a {STILL} [s] (default: when the vehicle crosses the marking)",
     )
@@ -105,13 +128,20 @@ def _add_view(record: argparse.ArgumentParser) -> None:
         metavar="WxH",
         help="pixels of the whole picture (default: 1280x720, .gif 800x450; higher for several)",
     )
-    view.add_argument("--span", type=float, metavar="M", help="metres of road (default: 140)")
+    view.add_argument(
+        "--span",
+        type=number(*SPAN, unit=" m"),
+        metavar="M",
+        help="metres of road (default: 140)",
+    )
     view.add_argument(
         "--follow",
         metavar="WHOM",
         help="changer_3, or a vehicle's number (default: the maneuver's vehicle)",
     )
-    view.add_argument("--speed", type=float, metavar="X", help="1 is real time (default: 1)")
+    view.add_argument(
+        "--speed", type=number(*SPEED), metavar="X", help="1 is real time (default: 1)"
+    )
 
 
 @dataclass(frozen=True)
@@ -124,6 +154,8 @@ class _Part:
 
 
 def _record(options: argparse.Namespace) -> None:
+    inputs = read_inputs(options.policies, options.followers, options.scenario)
+    check_outputs([("--out", path) for path in options.out], inputs)
     outputs = {path: _suffix_of(path) for path in options.out}
     _check_times(options, is_still=STILL in outputs.values())
     given = _read_view(options)
@@ -139,25 +171,25 @@ def _record(options: argparse.Namespace) -> None:
         scenario=options.scenario,
         seed=options.seed,
         road=options.road,
+        maneuver=options.maneuver,
         last_time=last_time,
     )
     _check_followed(tracks, given.get("follow"), followed)
     part = _choose_part(tracks, options, followed)
+    written: list[Path] = []
     for path, suffix in outputs.items():
         if suffix in DATA:
             is_whole = options.maneuver is None and options.start is None and last_time is None
-            written = _write_data(path, suffix, tracks, None if is_whole else part)
+            written += _write_data(path, suffix, tracks, None if is_whole else part)
         else:
             _show(path, tracks, part, views[path], options.at)
-            written = [path]
-        print("\n".join(map(str, written)))
+            written.append(path)
+    say("\n".join(map(str, written)))
 
 
 def _suffix_of(path: Path) -> str:
     for suffix in SUFFIXES:
         if path.name.lower().endswith(suffix) and len(path.name) > len(suffix):
-            if path.is_dir():
-                raise ValueError(f"--out {path}: must be a file, not a folder")
             return suffix
     raise ValueError(f"--out {path}: must end in {', '.join(SUFFIXES)}")
 
@@ -167,9 +199,8 @@ def _check_times(options: argparse.Namespace, *, is_still: bool) -> None:
         value = getattr(options, name)
         if value is None:
             continue
-        if not (0.0 <= value < inf) or (name == "seconds" and value == 0.0):
-            limit = "above 0" if name == "seconds" else "0 or more"
-            raise ValueError(f"--{name} {value:g}: must be {limit}")
+        if name == "seconds" and value == 0.0:
+            raise ValueError(f"--{name} {value:g}: must be above 0")
         if name != "at" and options.maneuver is not None:
             raise ValueError(f"--{name} {value:g}: not with --maneuver, which chooses the time")
     if options.at is not None and not is_still:
@@ -180,9 +211,9 @@ def _read_view(options: argparse.Namespace) -> dict[str, Any]:
     """The fields of the view that are given."""
     given: dict[str, Any] = {}
     if options.size is not None:
-        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", options.size)
+        match = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", options.size)
         if match is None:
-            raise ValueError(f"--size {options.size}: must be WxH, for example 1280x720")
+            raise ValueError(f"--size {shown(options.size)}: must be WxH, for example 1280x720")
         given["size"] = int(match[1]), int(match[2])
     if options.follow is not None:
         is_number = options.follow.isascii() and options.follow.isdecimal()
@@ -276,9 +307,8 @@ def _show(
             at = middle if excerpt is None else find_crossing(tracks[0].rows, excerpt)
         write_still(path, clips, at, view)
         return
-    show = Progress(f"filming {path.name}", 100)
-    write_film(path, clips, view, progress=lambda count, number: show(100 * count // number))
-    show.close()
+    with Progress(f"filming {path.name}", 100) as show:
+        write_film(path, clips, view, progress=lambda count, total: show(100 * count // total))
 
 
 def _write_data(path: Path, suffix: str, tracks: Sequence[Track], part: _Part | None) -> list[Path]:

@@ -1,10 +1,12 @@
 """The command that makes a replay of a trajectory for the browser."""
 
 import argparse
-from pathlib import Path
 
 from marl_lanes.cli.arguments import Commands
+from marl_lanes.cli.outputs import check_outputs
 from marl_lanes.cli.progress import Progress
+from marl_lanes.cli.values import file_name, whole_number
+from marl_lanes.terminal import say
 
 
 def add(commands: Commands) -> None:
@@ -15,9 +17,11 @@ def add(commands: Commands) -> None:
         description="Make one HTML file that replays a road of a trajectory in the browser, also "
         "without a network. docs/replay.md says what one sees.",
     )
-    replay.add_argument("trajectory", type=Path, help="a Parquet file")
-    replay.add_argument("--out", type=Path, required=True, help="the HTML file to write")
-    replay.add_argument("--road", type=int, help="index of the road (default: the first one)")
+    replay.add_argument("trajectory", type=file_name, help="a Parquet file")
+    replay.add_argument("--out", type=file_name, required=True, help="the HTML file to write")
+    replay.add_argument(
+        "--road", type=whole_number(), help="index of the road (default: the first one)"
+    )
     replay.add_argument(
         "--no-optimum",
         action="store_true",
@@ -34,8 +38,7 @@ def _replay(options: argparse.Namespace) -> None:
     from marl_lanes.trajectory.file import read_trajectory
     from marl_lanes.trajectory.metadata import TrajectoryError
 
-    if options.out.is_dir():
-        raise ValueError(f"--out {options.out}: must be a file, not a folder")
+    check_outputs([("--out", options.out)], [options.trajectory])
     trajectory = read_trajectory(options.trajectory)
     if not trajectory.roads:
         raise TrajectoryError(f"{options.trajectory}: has no rows")
@@ -43,8 +46,7 @@ def _replay(options: argparse.Namespace) -> None:
     rows = trajectory.rows_of(road)
     optima = None
     if not options.no_optimum:
-        show = Progress("optimizing", max(1, len(find_commands(rows))))
-        optima = find_optima(rows, trajectory.scenario, progress=show)
-        show.close()
+        with Progress("optimizing", max(1, len(find_commands(rows)))) as show:
+            optima = find_optima(rows, trajectory.scenario, progress=show)
     size = write_replay(options.out, trajectory, road, optima) / 1e6
-    print(f"{options.out}: road {road} of {len(trajectory.roads)}, {size:.1f} MB")
+    say(f"{options.out}: road {road} of {len(trajectory.roads)}, {size:.1f} MB")

@@ -1,9 +1,10 @@
 """The command that writes the report of a run."""
 
 import argparse
-from pathlib import Path
 
 from marl_lanes.cli.arguments import Commands
+from marl_lanes.cli.values import file_name
+from marl_lanes.terminal import say
 
 
 def add(commands: Commands) -> None:
@@ -15,11 +16,11 @@ def add(commands: Commands) -> None:
         "intervals, figures, film, failed maneuvers with links into their replays, configuration. "
         "A training writes it at its end; write it anew after you have added replays.",
     )
-    report.add_argument("folder", type=Path, metavar="RUN", help="the run folder")
+    report.add_argument("folder", type=file_name, metavar="RUN", help="the run folder")
     report.set_defaults(run=_report)
 
 
 def _report(options: argparse.Namespace) -> None:
     from marl_lanes.report.page import write_report
 
-    print(write_report(options.folder))
+    say(str(write_report(options.folder)))

@@ -5,6 +5,7 @@ import argparse
 from marl_lanes.cli.arguments import Commands
 from marl_lanes.scenario import list_scenarios, load_scenario
 from marl_lanes.scenario.yaml_files import format_yaml
+from marl_lanes.terminal import say
 
 
 def add(commands: Commands) -> None:
@@ -19,7 +20,7 @@ def add(commands: Commands) -> None:
 def _show_scenarios(options: argparse.Namespace) -> None:
     if options.scenario is not None:
         scenario = load_scenario(options.scenario)
-        print(format_yaml(scenario.model_dump(mode="json")), end="")
+        say(format_yaml(scenario.model_dump(mode="json")).rstrip("\n"))
         return
-    for name in list_scenarios():
-        print(f"{name:12} {load_scenario(name).description}")
+    lines = [f"{name:12} {load_scenario(name).description}" for name in list_scenarios()]
+    say("\n".join(lines))

@@ -1,12 +1,12 @@
 """What a recording shows: one road for each policy and each kind of follower."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from marl_lanes.cli.names import label_changers, label_followers
+from marl_lanes.cli.names import label_changers, label_followers, saved_followers
 from marl_lanes.cli.policies import make_policy
 from marl_lanes.cli.progress import Progress
 from marl_lanes.scenario import Scenario, load_scenario
@@ -36,7 +36,7 @@ class Track:
     @property
     def file_label(self) -> str:
         """The label as a part of a file's name."""
-        return re.sub(r"[^\w.@+-]+", "_", self.label)
+        return _as_part_of_name(self.label)
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,7 @@ def make_tracks(
     scenario: str | None,
     seed: int | None,
     road: int | None,
+    maneuver: int | None,
     last_time: float | None,
 ) -> list[Track]:
     """Read the recorded roads and drive the others; all are checked before the first one drives.
@@ -65,6 +66,7 @@ def make_tracks(
         scenario: name or file; None: paper.
         seed: of the traffic; None: 0.
         road: its index; None: 0, or the first that is recorded.
+        maneuver: index of the one that is to be shown, or None.
         last_time: where the simulation ends if the episode does not end before [s], or None.
 
     Returns:
@@ -75,22 +77,34 @@ def make_tracks(
         OSError: a file cannot be read.
     """
     sources = _find_sources(policies, followers, scenario, seed)
+    _check_maneuver(sources.values(), maneuver)
     number = 0 if road is None else road
-    if number < 0:
-        raise ValueError(f"--road {road}: must be at least 0")
+    recorded = {
+        label: Track(label, source, source.roads[0] if road is None else road)
+        for label, source in sources.items()
+        if not isinstance(source, _Drive)
+    }
+    for track in recorded.values():
+        track.trajectory.rows_of(track.road)
     tracks = []
-    show = Progress("driving", len(sources))
-    for count, (label, source) in enumerate(sources.items(), 1):
-        if isinstance(source, _Drive):
-            trajectory = _drive(source, 0 if seed is None else seed, number, last_time)
-            tracks.append(Track(label, trajectory, number))
-        else:
-            chosen = source.roads[0] if road is None else road
-            source.rows_of(chosen)
-            tracks.append(Track(label, source, chosen))
-        show(count)
-    show.close()
+    with Progress("driving", len(sources)) as show:
+        for count, (label, source) in enumerate(sources.items(), 1):
+            if isinstance(source, _Drive):
+                trajectory = _drive(source, 0 if seed is None else seed, number, last_time)
+                tracks.append(Track(label, trajectory, number))
+            else:
+                tracks.append(recorded[label])
+            show(count)
     return tracks
+
+
+def read_inputs(
+    policies: Sequence[str], followers: Sequence[str] | None, scenario: str | None
+) -> list[str | None]:
+    """What ``make_tracks`` would read: files, and names that are none."""
+    sources = label_changers(policies, "POLICY").values()
+    kinds = label_followers(followers or ())
+    return [scenario, *saved_followers(kinds), *(part for source in sources for part in source)]
 
 
 def _find_sources(
@@ -119,13 +133,36 @@ def _find_sources(
             continue
         for kind, override in kinds.items():
             overrides: dict[str, Any] = {} if override is None else {"followers": override}
-            loaded = load_scenario(own_scenario or scenario or "paper", overrides)
+            chosen = "paper" if scenario is None else scenario
+            loaded = load_scenario(own_scenario or chosen, overrides)
             parts = [label] if len(labelled) > 1 or not kind else []
             title = ", ".join([*parts, *([f"{kind} followers"] if kind else [])])
             choose_policies(loaded, find_policies(loaded), has_learner=False)
             policy = make_policy(name, loaded, 0 if seed is None else seed)
             sources[title] = _Drive(loaded, policy, name)
+    _check_names(sources)
     return sources
+
+
+def _check_maneuver(sources: "Iterable[_Drive | Trajectory]", maneuver: int | None) -> None:
+    """Reject a maneuver that no road will have; what is recorded, or has no end, may have it."""
+    numbers = [one.scenario.num_agents if isinstance(one, _Drive) else None for one in sources]
+    known = [number for number in numbers if number is not None]
+    if maneuver is not None and len(known) == len(numbers) and maneuver >= max(known):
+        raise ValueError(f"--maneuver {maneuver}: must be 0 to {max(known) - 1}")
+
+
+def _check_names(labels: Iterable[str]) -> None:
+    """Reject policies whose files would have one name: one would replace the other."""
+    known: dict[str, str] = {}
+    for label in labels:
+        other = known.setdefault(_as_part_of_name(label), label)
+        if other != label:
+            raise ValueError(f"{label}: its files would have the names of those of {other}")
+
+
+def _as_part_of_name(label: str) -> str:
+    return re.sub(r"[^\w.@+-]+", "_", label)
 
 
 def _drive(source: _Drive, seed: int, road: int, last_time: float | None) -> "Trajectory":

@@ -3,16 +3,17 @@
 import argparse
 import asyncio
 import gc
-import sys
 import threading
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from marl_lanes.cli.arguments import Commands, add_import, import_modules
+from marl_lanes.cli.arguments import Commands, add_import, add_seed, import_modules
 from marl_lanes.cli.policies import UNTRAINED, make_policy
+from marl_lanes.cli.values import number, whole_number
 from marl_lanes.extras import need
 from marl_lanes.scenario import load_scenario
+from marl_lanes.terminal import say, warn
 
 if TYPE_CHECKING:
     from marl_lanes.browser.episodes import Show
@@ -37,10 +38,18 @@ def add(commands: Commands) -> None:
     watch.add_argument(
         "--scenario", help="name or YAML file (default: that of the run, else paper)"
     )
-    watch.add_argument("--seed", type=int, default=0, help="seed of the traffic (default: 0)")
-    watch.add_argument("--port", type=int, default=0, help="on 127.0.0.1 (default: a free one)")
+    add_seed(watch, default=0)
     watch.add_argument(
-        "--speed", type=float, default=1.0, help="relative to real time, 0.1 to 20 (default: 1)"
+        "--port",
+        type=whole_number(0, 65535),
+        default=0,
+        help="on 127.0.0.1 (default: a free one)",
+    )
+    watch.add_argument(
+        "--speed",
+        type=number(0.1, 20.0),
+        default=1.0,
+        help="relative to real time, 0.1 to 20 (default: 1)",
     )
     watch.add_argument("--open", action="store_true", help="open the page in the browser")
     add_import(watch)
@@ -62,7 +71,7 @@ def _watch(options: argparse.Namespace) -> None:
         address = "http://{}:{}/".format(*listener.getsockname())
 
         def begin() -> None:
-            print(f"{address}  (Ctrl-C ends)", flush=True)
+            say(f"{address}  (Ctrl-C ends)")
             if options.open:
                 # Some browsers hold the call until they are closed.
                 threading.Thread(target=webbrowser.open, args=[address], daemon=True).start()
@@ -82,7 +91,7 @@ def _make_show(options: argparse.Namespace) -> "Show":
     given = None if options.scenario is None else load_scenario(options.scenario)
     models: Models
     if source not in UNTRAINED and Path(source).is_dir():
-        run = RunModels(Path(source), given, warn=_warn)
+        run = RunModels(Path(source), given, warn=lambda trouble: warn(f"warning: {trouble}"))
         scenario, models = run.scenario, run
     else:
         if source not in UNTRAINED and not Path(source).exists():
@@ -92,7 +101,3 @@ def _make_show(options: argparse.Namespace) -> "Show":
         scenario = given or load_scenario("paper")
         models = FixedModel(Model(source, make_policy(source, scenario, seed)))
     return Show(scenario, models, seed=seed, speed=options.speed)
-
-
-def _warn(trouble: str) -> None:
-    print(f"warning: {trouble}", file=sys.stderr, flush=True)

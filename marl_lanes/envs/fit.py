@@ -1,5 +1,6 @@
 """Which networks fit a role on a scenario."""
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,8 @@ def check_fit(path: Path, network: "PolicyNetwork", role: Role, scenario: Scenar
     whose = f"the {role.group} of scenario {scenario.name!r} have"
     if network.features != wanted["features"]:
         raise CheckpointError(
-            f"checkpoint {path}: its features are {network.features}, {whose} {wanted['features']}"
+            f"checkpoint {path}: its features are {textwrap.shorten(str(network.features), 400)}, "
+            f"{whose} {wanted['features']}"
         )
     found, needed = (
         f"{form['action_low']} to {form['action_high']}" for form in (network.config, wanted)

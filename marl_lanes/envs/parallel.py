@@ -67,10 +67,10 @@ class LaneChangeParallelEnv(ParallelEnv):
     """Lane changes as a PettingZoo parallel environment.
 
     An episode ends when the ``num_agents`` commands of the scenario are finished, or at its
-    horizon. Episodes that end before the first command are skipped by ``reset``, so each has an
-    agent. ``changer_k`` is the vehicle of the k-th command, from the command to its outcome; each
-    name is used once per episode. While no agent is live, reset and step advance the traffic, so
-    ``agents`` is empty only at the end of the episode.
+    horizon; ``reset`` skips those that end before the first command. ``changer_k`` is the vehicle
+    of the k-th command, from the command to its outcome; each name is used once per episode. While
+    no agent is live, reset and step advance the traffic, so ``agents`` is empty only at the end of
+    the episode.
 
     Observation: the scenario's features in its order, (F,) float32, SI units, in the maneuver frame
     (positive toward the target lane). Action: yaw acceleration, (1,) float32 [rad/s^2], used while
@@ -102,15 +102,13 @@ class LaneChangeParallelEnv(ParallelEnv):
 
     Attributes:
         metadata: PettingZoo's; ``render_fps`` is the number of time steps in a second.
-        initial_seed: the seed with which the present random numbers began, given or drawn.
 
     Raises:
         ScenarioError: the scenario is invalid, has no end (``num_agents: null``), or a follower of
             its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
         MissingExtraError: render_mode needs the extra ``view``, which is not installed.
-        ValueError: another argument has a wrong type, is out of range, or needs more memory than
-            there is.
+        ValueError: another argument has a wrong type, or is out of range.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads it off the class
@@ -135,7 +133,6 @@ class LaneChangeParallelEnv(ParallelEnv):
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             raise ValueError(f"render_mode = {shown(render_mode)}: must be None or one of {modes}")
-        learned_followers = check_flag("learned_followers", learned_followers)
         loaded = load_scenario(scenario, overrides)
         self.simulator = Simulator(
             loaded,
@@ -221,16 +218,13 @@ class LaneChangeParallelEnv(ParallelEnv):
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, float]]]:
         """Start an episode: warm up the traffic and advance to the first command.
 
-        Episodes that end before the first command are skipped, MAX_SKIPPED at most.
-
         Args:
             seed: 0 to 2^64 - 1; None continues the stream of the last seed.
             options: not used.
 
         Raises:
             DisplayError: render_mode is "human", and there is no display.
-            ScenarioError: no command came in MAX_SKIPPED episodes, because of the scenario's
-                horizon.
+            ScenarioError: MAX_SKIPPED episodes in a row ended before the first command.
             ValueError: the seed is out of range.
         """
         if self._renderer is not None:
@@ -239,7 +233,6 @@ class LaneChangeParallelEnv(ParallelEnv):
             self.simulator.seed(seed)
         self._begin()
         self._finished.clear()
-        self._slots = {}
         result = self._absent()
         self._collect(result)
         if self._renderer is not None:
@@ -275,8 +268,10 @@ class LaneChangeParallelEnv(ParallelEnv):
             # The agents that have just ended stay in the dicts; new ones are added.
             self._advance_until_live()
             self._collect(result)
-        if not self.agents:
-            self._close_episode(result)
+        if self.fixed_agents and not self.agents:
+            # At the horizon, the agents whose commands were never given are truncated, too.
+            unborn = [name for name in self.possible_agents if name not in self._finished]
+            result[3].update(dict.fromkeys(unborn, True))
         if self._renderer is not None:
             self._renderer.show()
         return result
@@ -404,13 +399,6 @@ class LaneChangeParallelEnv(ParallelEnv):
             dict.fromkeys(names, False),
             {name: dict.fromkeys(_INFO[self._role_of[name].name], 0.0) for name in names},
         )
-
-    def _close_episode(self, result: Step) -> None:
-        """At the horizon, truncate also the agents whose commands were never given."""
-        if self.fixed_agents:
-            for name in self.possible_agents:
-                if name not in self._finished:
-                    result[3][name] = True
 
 
 def parallel_env(

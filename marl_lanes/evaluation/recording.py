@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from math import ceil, inf
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,11 @@ from marl_lanes.envs.followers import find_policies
 from marl_lanes.evaluation.aftermath import WATCHED_TIME
 from marl_lanes.evaluation.driving import Policy, drive
 from marl_lanes.evaluation.rollout import Maneuver, run_maneuvers
+from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.trajectory.columns import ROW
 from marl_lanes.trajectory.file import Trajectory, TrajectoryWriter, make_trajectory
 from marl_lanes.trajectory.frames import FrameReader, Rows
 from marl_lanes.trajectory.metadata import Metadata
@@ -133,7 +135,7 @@ def record_road(
         ScenarioError: the episodes have no end and ``last_time`` is None, or a disposition of the
             followers has no policy.
         CheckpointError: the checkpoint of the learned followers cannot be read or does not fit.
-        ValueError: seed, road or last_time is out of range.
+        ValueError: seed, road or last_time is out of range, or the rows do not fit in memory.
     """
     if last_time is not None and not 0.0 < last_time < inf:
         raise ValueError(f"last_time = {last_time}: must be above 0")
@@ -145,6 +147,9 @@ def record_road(
             f"scenario {scenario.name!r}: its episodes have no end (num_agents and horizon are "
             "null): a recording needs a last time"
         )
+    if not has_end and last_time is not None:
+        rows_per_second = scenario.max_vehicles / scenario.time_step
+        check_memory("last_time", last_time, last_time * rows_per_second * ROW.itemsize)
     simulator = Simulator(
         scenario,
         seed=seed,
@@ -152,10 +157,10 @@ def record_road(
         first_road=road,
     )
     simulator.reset()
-    last_step = inf if last_time is None else ceil(round(last_time / scenario.time_step, 6))
+    last_step = inf if last_time is None else round(last_time / scenario.time_step, 6)
     blocks: list[Rows] = []
     recorder = RoadRecorder(simulator, blocks.append)
-    for _ in drive(simulator, policy):
+    for _ in drive(simulator, policy, needs_agents=last_time is None):
         recorder.advance()
         if recorder.is_over or simulator.roads["step"][0] >= last_step:
             break

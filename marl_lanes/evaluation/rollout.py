@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.evaluation.aftermath import Aftermath, Watch
 from marl_lanes.evaluation.driving import Policy, drive
+from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.traffic.command.phases import reference_lane
 from marl_lanes.traffic.counterfactual import accelerations_without_change
@@ -29,6 +30,9 @@ _bumper_gap = on_columns(bumper_gap)
 
 Observe = Callable[[Simulator], Callable[[], object]]
 """Given the roads before their first step; returns what is called after every step."""
+
+MANEUVER_BYTES = 80_000
+"""Memory for one maneuver and its share of the road at the end of a rollout, at the least."""
 
 TRACE = np.dtype(
     [
@@ -295,14 +299,16 @@ def run_maneuvers(
         progress: called after every step with the number of finished commands.
 
     Raises:
-        ScenarioError: its episodes have no end, no commands, or end before the first command; or a
-            disposition of its followers has no policy.
+        ScenarioError: its episodes have no end, no commands, or end before the first command; no
+            command comes in a day of simulated time; or a disposition of its followers has no
+            policy.
         CheckpointError: the checkpoint of the learned followers cannot be read or does not fit.
-        ValueError: ``num_maneuvers`` is below 1.
+        ValueError: ``num_maneuvers`` is below 1, or they do not fit in memory.
     """
     if num_maneuvers < 1:
         raise ValueError(f"num_maneuvers = {num_maneuvers}: must be at least 1")
     loaded = load_scenario(scenario)
+    check_memory("num_maneuvers", num_maneuvers, num_maneuvers * MANEUVER_BYTES)
     num_roads = ceil(num_maneuvers / check_episodes(loaded))
     simulator = Simulator(
         loaded, num_roads, seed=seed, follower_policies=find_policies(loaded, follower_policies)
@@ -311,7 +317,7 @@ def run_maneuvers(
     recorder = _Recorder(simulator)
     see = None if observe is None else observe(simulator)
     recorder.before()
-    for _ in drive(simulator, policy):
+    for _ in drive(simulator, policy, needs_agents=True):
         recorder.after()
         if see is not None:
             see()

@@ -1,20 +1,29 @@
 """Checkpoints as they are read: the network's form and weights, and nothing that runs code."""
 
-from collections.abc import Callable
+import pickle
+import reprlib
+import textwrap
+import zipfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, BinaryIO, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict.nn import TensorDictModule
 
+from marl_lanes.files import open_regular, write_atomically
 from marl_lanes.naf.layers import ActionBox
 from marl_lanes.naf.network import NAFNetwork
 
 FORMAT = "marl-lanes NAF policy 4"
 """What a checkpoint's entry ``format`` says."""
+
+_MAX_REASON = 300
+"""[characters] of a reason that a network's constructor gives."""
 
 
 class CheckpointError(ValueError):
@@ -79,14 +88,77 @@ def read_content(path: Path) -> dict[str, Any]:
     Raises:
         CheckpointError: the file cannot be read.
     """
+    return read_archive(path, "checkpoint")
+
+
+def read_archive(path: Path, kind: str, *, is_mapped: bool = False) -> dict[str, Any]:
+    """The content of a file of ``torch.save``, every byte of it verified, no code of it run.
+
+    Args:
+        path: the file.
+        kind: what it should be, for messages.
+        is_mapped: leave its tensors on the disk until they are read.
+
+    Returns:
+        the content; empty if the file holds something else than a mapping.
+
+    Raises:
+        CheckpointError: the file cannot be read, or is not as it was written.
+    """
     try:
-        content: Any = torch.load(path, map_location="cpu", weights_only=True)
+        with open_regular(path) as file:
+            _verify(file)
+            file.seek(0)
+            source = path if is_mapped else file
+            content: Any = torch.load(source, map_location="cpu", weights_only=True, mmap=is_mapped)
     except OSError as error:
-        raise CheckpointError(f"checkpoint {path}: cannot be read: {error}") from None
+        reason = error.strerror or str(error)
+        raise CheckpointError(f"{kind} {path}: cannot be read: {reason}") from None
+    except pickle.UnpicklingError:
+        raise CheckpointError(
+            f"{kind} {path}: not a {kind}: must hold plain values and tensors alone"
+        ) from None
     except Exception as error:  # torch's reader of damaged files raises errors of many kinds
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise CheckpointError(f"checkpoint {path}: not a checkpoint: {reason}") from None
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise CheckpointError(f"{kind} {path}: not a {kind}: {reason}") from None
     return content if isinstance(content, dict) else {}
+
+
+def _verify(file: BinaryIO) -> None:
+    """Compare every entry with its CRC-32, which ``torch.load`` does not.
+
+    Raises:
+        ValueError, zipfile.BadZipFile: the file is not as ``torch.save`` wrote it.
+    """
+    with zipfile.ZipFile(file) as archive:
+        entries = archive.infolist()
+        # Compressed, a small file could fill the memory; of a folder torch reads what is in memory
+        # by chance; of two of a name one is not verified.
+        if any(entry.compress_type or entry.external_attr for entry in entries):
+            raise ValueError("its entries must be files that are not compressed")
+        if len({entry.filename for entry in entries}) < len(entries):
+            raise ValueError("an entry is there twice")
+        damaged = archive.testzip()
+    if damaged is not None:
+        raise ValueError(f"the checksum of its entry {damaged!r} is wrong")
+
+
+def write_archive(path: Path, content: Mapping[str, Any]) -> None:
+    """Write plain values and tensors with ``torch.save``, whole or not at all.
+
+    Raises:
+        OSError: the file cannot be written; what was there stays as it was.
+    """
+    # It is on unless somebody has turned it off.
+    torch.serialization.set_crc32_options(True)
+
+    def write(temporary: Path) -> None:
+        # Given a path, torch would write its name into the file, and of a full disk raise an error
+        # of its own.
+        with temporary.open("wb") as file:
+            torch.save(content, file)
+
+    write_atomically(path, write)
 
 
 def build_checkpoint(
@@ -103,12 +175,70 @@ def build_checkpoint(
         CheckpointError: a part is missing, or the parts do not fit together.
     """
     try:
-        network = kind(**content["config"])
-        network.load_state_dict(content["weights"])
-        return Checkpoint(network, str(content["scenario"]), int(content["transitions"]))
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = str(error).partition("\n")[0]
+        config, weights = content["config"], content["weights"]
+        _check_config(config, weights)
+        network = kind(**config)
+        check_tensors(weights, network.state_dict())
+        network.load_state_dict(weights)
+        scenario, transitions = content["scenario"], content["transitions"]
+        if not isinstance(scenario, str) or not isinstance(transitions, int):
+            raise TypeError("scenario and transitions: must be a text and a whole number")
+    except KeyError as error:
+        raise CheckpointError(f"checkpoint {path}: {error}: must be given") from None
+    except (AttributeError, TypeError, ValueError, RuntimeError) as error:
+        reason = textwrap.shorten(str(error), _MAX_REASON)
         raise CheckpointError(f"checkpoint {path}: inconsistent: {reason}") from None
+    return Checkpoint(network, scenario, transitions)
+
+
+def _check_config(config: Mapping[str, Any], weights: Mapping[str, Any]) -> None:
+    """Refuse the arguments of a network that are no plain values, or need more than the weights.
+
+    Raises:
+        TypeError, ValueError: what is wrong; the network must not be made.
+    """
+    for name, value in config.items():
+        parts = value if isinstance(value, list | tuple) else [value]
+        if not all(part is None or isinstance(part, str | int | float) for part in parts):
+            raise TypeError(f"config.{name}: must be a plain value or a list of them")
+    widths = [len(config["features"]), *config["hidden_sizes"]]
+    needed = sum(max(1, before * after) for before, after in pairwise(widths))
+    stored = sum(weight.untyped_storage().nbytes() // 4 for weight in weights.values())
+    if needed > stored:
+        raise ValueError(
+            f"config.hidden_sizes = {reprlib.repr(config['hidden_sizes'])}: must be that of the "
+            f"{stored} weights in the file"
+        )
+
+
+def check_tensors(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Refuse tensors of other names or forms, or with a number that is not finite.
+
+    Args:
+        found: from a file.
+        wanted: those that they are for; what is no tensor there is not looked at.
+
+    Raises:
+        ValueError: the message names the tensor.
+    """
+    if found.keys() != wanted.keys():
+        names = reprlib.repr(sorted(map(str, found.keys() ^ wanted.keys())))
+        raise ValueError(f"weights: {names}: must be there if and only if the network has them")
+    for name, tensor in wanted.items():
+        if not isinstance(tensor, torch.Tensor):
+            continue
+        form = _form_of(found[name])
+        if form != _form_of(tensor):
+            raise ValueError(f"weights.{name}: {form}: must be {_form_of(tensor)}")
+        if not torch.isfinite(found[name]).all():
+            raise ValueError(f"weights.{name}: every number must be finite")
+
+
+def _form_of(value: Any) -> str:
+    if not isinstance(value, torch.Tensor) or value.layout != torch.strided:
+        return "no dense tensor"
+    order = "" if value.is_contiguous() else " in another order"
+    return f"{value.dtype} of shape {tuple(value.shape)}{order}"
 
 
 def greedy_policy(network: PolicyNetwork) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:

@@ -113,7 +113,8 @@ class DampedMu(_YawAcceleration):
     ) -> None:
         super().__init__(name, features, box)
         # Four networks, for a_max and each pole.
-        floor = min(self.limit_floor(torch.tensor(self.initial_pole**3)).item(), 0.9)
+        gain = torch.tensor(self.initial_pole**3, dtype=torch.float32)
+        floor = min(self.limit_floor(gain).item(), 0.9)
         span = self.fastest_pole - self.slowest_pole
         pole = _logit((self.initial_pole - self.slowest_pole) / span)
         initial = (self.initial_limit_logit(floor), pole, pole, pole)

@@ -61,7 +61,7 @@ class Heads(nn.Module):
 
     They have no weights in common; one batched product a layer evaluates them together, which for
     networks of this size costs little more than one of them. Weights are (networks, in, out) and
-    biases (networks, 1, out); a single network's are (in, out) and (out,).
+    biases (networks, 1, out); a single network's are (in, out) and (out,). All are float32.
 
     Args:
         in_features: length of the input.
@@ -86,7 +86,7 @@ class Heads(nn.Module):
             if len(initial) > 1:
                 shapes = ((len(initial), fan_in, fan_out), (len(initial), 1, fan_out))
             for name, shape in zip(names, shapes, strict=True):
-                self.register_parameter(name, nn.Parameter(torch.empty(shape)))
+                self.register_parameter(name, nn.Parameter(torch.empty(shape, dtype=torch.float32)))
         self.reset_parameters()
 
     def layer(self, index: int) -> tuple[Tensor, Tensor]:
@@ -108,7 +108,7 @@ class Heads(nn.Module):
                 weight.uniform_(-bound, bound)
                 bias.uniform_(-bound, bound)
             weight.mul_(self.LAST_GAIN)
-            bias.copy_(torch.tensor(self.initial).reshape(bias.shape))
+            bias.copy_(torch.tensor(self.initial, dtype=torch.float32).reshape(bias.shape))
 
     def forward(self, observation: Tensor, params: TensorDictBase | None = None) -> Tensor:
         """(..., in_features) to (..., networks * outputs), network by network.

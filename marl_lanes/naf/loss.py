@@ -189,6 +189,8 @@ class NAFLoss(LossModule):
         dispatch_value_estimator(
             self, value_type, supported=self.SUPPORTED_VALUE_ESTIMATORS, **parameters
         )
+        # They have torch's default dtype, which may be another than the network's.
+        self.value_estimator.to(next(self.parameters()).dtype)
         self._forward_value_estimator_keys()
         return self
 

@@ -332,8 +332,10 @@ class Normaliser(nn.Module):
         if not features or len(set(features)) != len(features):
             raise ValueError(f"need one or more features of different names, got {features}")
         size = len(features)
-        offset = torch.zeros(size) if offsets is None else torch.as_tensor(offsets).float()
-        scale = torch.ones(size) if scales is None else torch.as_tensor(scales).float()
+        offset, scale = (
+            torch.as_tensor([value] * size if given is None else given, dtype=torch.float32)
+            for given, value in ((offsets, 0.0), (scales, 1.0))
+        )
         if offset.shape != (size,) or scale.shape != (size,):
             raise ValueError(
                 f"need {size} offsets and scales, one a feature, "

@@ -9,9 +9,11 @@ from typing import Any
 MIN_SIZE = (320, 180)
 MAX_SIZE = (3840, 2160)
 
-_SPAN = (20.0, 2000.0)
-_SPEED = (0.01, 100.0)
-_CHANGER = re.compile(r"changer_(0|[1-9]\d*)")
+SPAN = (20.0, 2000.0)
+"""[m]"""
+SPEED = (0.01, 100.0)
+"""[1]"""
+_CHANGER = re.compile(r"changer_(0|[1-9][0-9]*)")
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,8 @@ class ViewOptions:
     def __post_init__(self) -> None:
         """Reject fields that are not valid."""
         object.__setattr__(self, "size", _check_size(self.size))
-        object.__setattr__(self, "span", _check_number("span", self.span, _SPAN, " m"))
-        object.__setattr__(self, "speed", _check_number("speed", self.speed, _SPEED, ""))
+        object.__setattr__(self, "span", _check_number("span", self.span, SPAN, " m"))
+        object.__setattr__(self, "speed", _check_number("speed", self.speed, SPEED, ""))
         follow = self.follow
         if isinstance(follow, str):
             is_valid = _CHANGER.fullmatch(follow) is not None

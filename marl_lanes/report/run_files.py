@@ -11,8 +11,10 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from marl_lanes.evaluation.headlines import HEADLINES
+from marl_lanes.files import open_regular
 from marl_lanes.scenario.messages import shown, shown_name
-from marl_lanes.training.config import CONFIG_FILE, ConfigError, read_scenario_name, validate
+from marl_lanes.training.config import CONFIG_FILE, ConfigError, validate
+from marl_lanes.training.inputs import find_scenario
 from marl_lanes.training.run_folder import (
     CHOICE_FILE,
     COMMAND_FILE,
@@ -99,7 +101,7 @@ class RunFiles:
         maneuvers: its maneuvers.
         seconds: of the training, by activity.
         config_text: the configuration as it is stored.
-        scenario: name or file of the scenario.
+        scenario: the scenario's file.
         command: the command line that began the run.
         chosen: the saved model that became the final one by a criterion, None without one.
         replays: the roads that have a replay.
@@ -128,7 +130,7 @@ def read_run(path: Path) -> RunFiles:
         ReportError: the folder holds no finished run, or a file is not as training writes it.
     """
     try:
-        scenario = read_scenario_name(path)
+        scenario = find_scenario(path)
     except ConfigError as error:
         raise ReportError(str(error)) from None
     evaluation = _validate(Evaluation, _read_json(path / EVALUATION_FILE), path / EVALUATION_FILE)
@@ -143,7 +145,7 @@ def read_run(path: Path) -> RunFiles:
         maneuvers=_read_maneuvers(path / FINAL_MANEUVERS_FILE, evaluation.num_maneuvers),
         seconds=_read_seconds(path / TIMES_FILE),
         config_text=_read_text(path / CONFIG_FILE),
-        scenario=scenario,
+        scenario=str(scenario),
         command=_read_text(path / COMMAND_FILE).strip(),
         chosen=_validate(Choice, _read_json(choice), choice).chosen if choice.is_file() else None,
         replays=frozenset(int(match[1]) for match in found if match),
@@ -153,7 +155,8 @@ def read_run(path: Path) -> RunFiles:
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        with open_regular(path) as file:
+            return file.read().decode("utf-8")
     except FileNotFoundError:
         raise ReportError(
             f"run {path.parent}: has no {path.name}: it is not finished, or of an older version; "
@@ -166,7 +169,7 @@ def _read_text(path: Path) -> str:
 def _read_json(path: Path) -> Any:
     try:
         return json.loads(_read_text(path))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ReportError(f"{path}: not readable as JSON: {error}") from None
 
 
@@ -180,7 +183,10 @@ def _validate(kind: type[Model], fields: Any, path: Path) -> Model:
 
 
 def _read_maneuvers(path: Path, wanted: int) -> tuple[FinalManeuver, ...]:
-    rows = list(csv.DictReader(_read_text(path).splitlines()))
+    try:
+        rows = list(csv.DictReader(_read_text(path).splitlines()))
+    except csv.Error as error:
+        raise ReportError(f"{path}: not readable as CSV: {error}") from None
     if len(rows) != wanted:
         raise ReportError(
             f"{path}: has {len(rows)} maneuvers: must have the {wanted} of {EVALUATION_FILE}"

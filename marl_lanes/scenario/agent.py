@@ -4,7 +4,7 @@ from typing import Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
-from marl_lanes.scenario.fields import NonNegative, Positive, Section
+from marl_lanes.scenario.fields import Positive, Section, Weight
 
 
 class Completion(Section):
@@ -14,12 +14,20 @@ class Completion(Section):
     waits again.
     """
 
-    max_deviation: Positive = Field(0.2, description="|lateral deviation| [m], > 0")
+    max_deviation: Positive = Field(
+        0.2, ge=0.001, le=3.0, description="|lateral deviation| [m], 0.001 to 3"
+    )
     max_lateral_speed: Positive | None = Field(
-        0.25, description="|lateral speed| [m/s], > 0, null for no bound"
+        0.25,
+        ge=0.001,
+        le=100.0,
+        description="|lateral speed| [m/s], 0.001 to 100, null for no bound",
     )
     max_yaw_rate: Positive | None = Field(
-        0.03, description="|yaw rate - the road's turning| [rad/s], > 0, null for no bound"
+        0.03,
+        ge=0.001,
+        le=100.0,
+        description="|yaw rate - the road's turning| [rad/s], 0.001 to 100, null for no bound",
     )
 
 
@@ -27,11 +35,16 @@ class Longitudinal(Section):
     """The second dimension of the action: the longitudinal acceleration of a live agent."""
 
     max_acceleration: Positive = Field(
-        2.0, le=10.0, description="largest acceleration [m/s^2], > 0 to 10"
+        2.0, ge=0.01, le=10.0, description="largest acceleration [m/s^2], 0.01 to 10"
     )
-    max_braking: Positive = Field(3.0, le=12.0, description="hardest braking [m/s^2], > 0 to 12")
+    max_braking: Positive = Field(
+        3.0, ge=0.01, le=12.0, description="hardest braking [m/s^2], 0.01 to 12"
+    )
     max_speed: Positive = Field(
-        40.0, le=70.0, description="the agent accelerates up to this speed [m/s], > 0 to 70"
+        40.0,
+        ge=0.1,
+        le=70.0,
+        description="the agent accelerates up to this speed [m/s], 0.1 to 70",
     )
 
 
@@ -39,7 +52,7 @@ class Action(Section):
     """The agent's action."""
 
     max_yaw_acceleration: Positive = Field(
-        0.5, le=5.0, description="largest yaw acceleration [rad/s^2], > 0 to 5"
+        0.5, ge=0.01, le=5.0, description="largest yaw acceleration [rad/s^2], 0.01 to 5"
     )
     longitudinal: Longitudinal | None = Field(
         None, description="a second action, the longitudinal acceleration [section], null for none"
@@ -88,9 +101,10 @@ class Observation(Section):
     )
     sensor_range: Positive = Field(
         200.0,
+        ge=1.0,
         le=10_000.0,
         description="largest gap that is observed, also the gap if there is no vehicle [m], "
-        "> 0 to 10,000",
+        "1 to 10,000",
     )
 
     @model_validator(mode="after")
@@ -104,18 +118,20 @@ class Observation(Section):
 class Reward(Section):
     """Eq. 10, Eq. 11, Eq. 12 and the failure penalty."""
 
-    yaw_acceleration_weight: NonNegative = Field(2.0, description="w_acce [1/(rad/s^2)], >= 0")
-    yaw_rate_weight: NonNegative = Field(0.5, description="w_rate [1/(rad/s)], >= 0")
-    deviation_weight: NonNegative = Field(0.05, description="w_dev [1], >= 0")
-    average_deviation: Positive = Field(1.875, description="d_avg [m], > 0")
-    failure_penalty: NonNegative = Field(
-        10.0, description="cost of a collision or of leaving the road [1], >= 0"
+    yaw_acceleration_weight: Weight = Field(2.0, description="w_acce [1/(rad/s^2)], 0 to 1e6")
+    yaw_rate_weight: Weight = Field(0.5, description="w_rate [1/(rad/s)], 0 to 1e6")
+    deviation_weight: Weight = Field(0.05, description="w_dev [1], 0 to 1e6")
+    average_deviation: Positive = Field(
+        1.875, ge=0.01, le=1000.0, description="d_avg [m], 0.01 to 1000"
     )
-    delay_weight: NonNegative = Field(
-        0.0, description="cost of each second since the command [1/s], >= 0"
+    failure_penalty: Weight = Field(
+        10.0, description="cost of a collision or of leaving the road [1], 0 to 1e6"
     )
-    longitudinal_weight: NonNegative = Field(
+    delay_weight: Weight = Field(
+        0.0, description="cost of each second since the command [1/s], 0 to 1e6"
+    )
+    longitudinal_weight: Weight = Field(
         0.0,
         description="weight of the square of the difference between the acceleration and car "
-        "following [s^4/m^2], >= 0",
+        "following [s^4/m^2], 0 to 1e6",
     )

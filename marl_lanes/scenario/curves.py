@@ -14,15 +14,23 @@ _JOIN_TIME = 3.0
 class Arc(Section):
     """A curve: constant curvature between two clothoids, with linear curvature in these."""
 
-    start: NonNegative = Field(description="where the arc begins [m], >= 0, < end")
-    end: Positive = Field(description="where the arc ends [m], > start, <= road.length")
+    start: NonNegative = Field(
+        le=100_000.0, description="where the arc begins [m], 0 to 100,000, < end"
+    )
+    end: Positive = Field(
+        le=100_000.0, description="where the arc ends [m], 0 to 100,000, > start, <= road.length"
+    )
     radius: Real = Field(
-        description="radius at the road's right edge [m], |radius| >= 50; positive bends left"
+        ge=-1e9,
+        le=1e9,
+        description="radius at the road's right edge [m], -1e9 to 1e9, |radius| >= 50; positive "
+        "bends left",
     )
     transition: NonNegative = Field(
         50.0,
+        le=50_000.0,
         description="length of the clothoid at each end, within start to end [m], 0 (a step of "
-        "curvature) to (end - start)/2",
+        "curvature) to (end - start)/2, at most 50,000",
     )
 
 

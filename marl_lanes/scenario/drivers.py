@@ -11,11 +11,17 @@ from marl_lanes.scenario.messages import shown
 class DriverProfile(Section):
     """An IDM parameter set (Eq. 9), and the lateral acceleration in curves."""
 
-    minimum_gap: Positive = Field(5.0, description="s0, gap at standstill [m], > 0")
-    time_headway: Positive = Field(1.0, description="T, time gap to the leader [s], > 0")
-    max_acceleration: Positive = Field(2.0, le=10.0, description="a_m [m/s^2], > 0 to 10")
-    comfortable_braking: Positive = Field(1.5, description="b [m/s^2], > 0")
-    exponent: Positive = Field(4.0, ge=1.0, description="delta [1], >= 1")
+    minimum_gap: Positive = Field(
+        5.0, ge=0.01, le=1000.0, description="s0, gap at standstill [m], 0.01 to 1000"
+    )
+    time_headway: Positive = Field(
+        1.0, ge=0.01, le=60.0, description="T, time gap to the leader [s], 0.01 to 60"
+    )
+    max_acceleration: Positive = Field(2.0, ge=0.01, le=10.0, description="a_m [m/s^2], 0.01 to 10")
+    comfortable_braking: Positive = Field(
+        1.5, ge=0.01, le=12.0, description="b [m/s^2], 0.01 to 12"
+    )
+    exponent: Positive = Field(4.0, ge=1.0, le=20.0, description="delta [1], 1 to 20")
     comfortable_lateral_acceleration: Positive = Field(
         2.0, ge=0.2, le=4.0, description="largest v^2 |curvature| in a curve [m/s^2], 0.2 to 4"
     )

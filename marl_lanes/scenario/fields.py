@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -43,20 +43,21 @@ def _is_ascending(pair: tuple[float, float]) -> tuple[float, float]:
 
 Line = Annotated[str, AfterValidator(_has_no_control)]
 Name = Annotated[Line, Field(min_length=1, max_length=255)]
+
+Number = TypeVar("Number")
+
 Real = Annotated[float, Field(strict=True)]
 Positive = Annotated[float, Field(strict=True, gt=0.0)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0)]
 Share = Annotated[float, Field(strict=True, ge=0.0, le=1e6)]
 Count = Annotated[int, Field(strict=True)]
-Speed = Annotated[float, Field(strict=True, gt=0.0, le=70.0), BeforeValidator(_parse_speed)]
-SpeedRange = Annotated[
-    tuple[Speed, Speed], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
-]
-PositiveRange = Annotated[
-    tuple[Positive, Positive], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
-]
-NonNegativeRange = Annotated[
-    tuple[NonNegative, NonNegative], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
+Weight = Annotated[float, Field(strict=True, ge=0.0, le=1e6)]
+Speed = Annotated[float, Field(strict=True, ge=0.1, le=70.0), BeforeValidator(_parse_speed)]
+Interval = Annotated[float, Field(strict=True, ge=0.1, le=1e6)]
+Position = Annotated[float, Field(strict=True, ge=0.0, le=100_000.0)]
+WarmUp = Annotated[float, Field(strict=True, ge=0.0, le=3600.0)]
+Range = Annotated[
+    tuple[Number, Number], BeforeValidator(_parse_pair), AfterValidator(_is_ascending)
 ]
 
 

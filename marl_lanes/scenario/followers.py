@@ -4,7 +4,16 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from marl_lanes.scenario.fields import Line, NonNegative, Positive, Real, Section, Share, has_weight
+from marl_lanes.scenario.fields import (
+    Line,
+    NonNegative,
+    Positive,
+    Real,
+    Section,
+    Share,
+    Weight,
+    has_weight,
+)
 
 SCRIPTED = ("cooperative", "neutral", "adversarial")
 """The dispositions with a formula in the simulation, in the order of their codes."""
@@ -18,10 +27,15 @@ DispositionName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]*$", max
 class Cooperative(Section):
     """A follower whose leader is also the changer, from the engagement on."""
 
-    time_headway: Positive = Field(1.5, description="T toward the changer [s], > 0")
+    time_headway: Positive = Field(
+        1.5, ge=0.01, le=60.0, description="T toward the changer [s], 0.01 to 60"
+    )
     max_braking: Positive = Field(
         2.0,
-        description="hardest braking for a changer whose body is not in the lane yet [m/s^2], > 0",
+        ge=0.01,
+        le=12.0,
+        description="hardest braking for a changer whose body is not in the lane yet [m/s^2], "
+        "0.01 to 12",
     )
     moves_over: bool = Field(
         False, description="whether it may also yield by moving to the lane beyond [bool]"
@@ -35,22 +49,24 @@ class Adversarial(Section):
         1.3, ge=1.0, le=2.0, description="multiplies its desired speed [1], 1 to 2"
     )
     max_acceleration: Positive = Field(
-        3.0, le=10.0, description="a_m while it closes the gap [m/s^2], > 0 to 10"
+        3.0, ge=0.01, le=10.0, description="a_m while it closes the gap [m/s^2], 0.01 to 10"
     )
-    time_headway: Positive = Field(0.5, description="T while it closes the gap [s], > 0")
+    time_headway: Positive = Field(
+        0.5, ge=0.01, le=60.0, description="T while it closes the gap [s], 0.01 to 60"
+    )
 
 
 class External(Section):
     """The limits of a follower that a registered policy, a checkpoint or a learner drives."""
 
     max_acceleration: Positive = Field(
-        3.0, le=10.0, description="largest acceleration [m/s^2], > 0 to 10"
+        3.0, ge=0.01, le=10.0, description="largest acceleration [m/s^2], 0.01 to 10"
     )
     max_braking: Positive = Field(
-        3.0, le=12.0, description="hardest braking that it may choose [m/s^2], > 0 to 12"
+        3.0, ge=0.01, le=12.0, description="hardest braking that it may choose [m/s^2], 0.01 to 12"
     )
     max_speed: Positive = Field(
-        40.0, le=70.0, description="it accelerates up to this speed [m/s], > 0 to 70"
+        40.0, ge=0.1, le=70.0, description="it accelerates up to this speed [m/s], 0.1 to 70"
     )
     is_guarded: bool = Field(
         True,
@@ -62,19 +78,26 @@ class FollowerReward(Section):
     """The weights of a learned follower's reward; a negative weight changes a term's sign."""
 
     delay_weight: Real = Field(
-        description="weight of each second in which the changer's body is not in the lane yet [1/s]"
+        ge=-1e6,
+        le=1e6,
+        description="weight of each second in which the changer's body is not in the lane yet "
+        "[1/s], -1e6 to 1e6",
     )
-    abort_weight: Real = Field(description="weight of each abort of the changer [1]")
-    collision_penalty: NonNegative = Field(
-        description="cost of a collision of the follower [1], >= 0"
+    abort_weight: Real = Field(
+        ge=-1e6, le=1e6, description="weight of each abort of the changer [1], -1e6 to 1e6"
     )
-    discomfort_weight: NonNegative = Field(
-        description="weight of the square of its acceleration [s^4/m^2], >= 0"
+    collision_penalty: Weight = Field(
+        description="cost of a collision of the follower [1], 0 to 1e6"
     )
-    braking_weight: NonNegative = Field(
-        description="weight of its braking beyond hard_braking [s^2/m], >= 0"
+    discomfort_weight: Weight = Field(
+        description="weight of the square of its acceleration [s^4/m^2], 0 to 1e6"
     )
-    hard_braking: NonNegative = Field(3.0, description="harder braking has a cost [m/s^2], >= 0")
+    braking_weight: Weight = Field(
+        description="weight of its braking beyond hard_braking [s^2/m], 0 to 1e6"
+    )
+    hard_braking: NonNegative = Field(
+        3.0, le=12.0, description="harder braking has a cost [m/s^2], 0 to 12"
+    )
 
 
 class Learned(Section):

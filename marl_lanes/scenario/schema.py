@@ -13,13 +13,15 @@ from marl_lanes.scenario.curves import deviation_in_curves
 from marl_lanes.scenario.drivers import Drivers
 from marl_lanes.scenario.fields import (
     Count,
+    Interval,
     Name,
     NonNegative,
-    NonNegativeRange,
+    Position,
     Positive,
-    PositiveRange,
+    Range,
     Section,
-    SpeedRange,
+    Speed,
+    WarmUp,
 )
 from marl_lanes.scenario.followers import Followers
 from marl_lanes.scenario.messages import shown
@@ -34,23 +36,20 @@ MAX_KEEPING_STEP = 0.5
 MAX_CARRIED_SHARE = 0.8
 """[1] How far a curve may carry a vehicle off its lane's centre, of the room beside its body."""
 
-MAX_WARMUP = 3600.0
-"""[s]"""
-
 
 class Departures(Section):
     """How vehicles enter each lane."""
 
-    interval: PositiveRange = Field(
-        (5.0, 10.0), description="time between two departures of a lane [s], > 0, uniform"
+    interval: Range[Interval] = Field(
+        (5.0, 10.0), description="time between two departures of a lane [s], 0.1 to 1e6, uniform"
     )
-    initial_speed: SpeedRange = Field(
+    initial_speed: Range[Speed] = Field(
         (30.0 / 3.6, 50.0 / 3.6),
-        description="speed at entry [m/s or 'x km/h'], > 0 to 70 m/s, uniform",
+        description="speed at entry [m/s or 'x km/h'], 0.1 to 70 m/s, uniform",
     )
-    desired_speed: SpeedRange = Field(
+    desired_speed: Range[Speed] = Field(
         (80.0 / 3.6, 120.0 / 3.6),
-        description="v0, a driver's speed on a free road [m/s or 'x km/h'], > 0 to 70 m/s, uniform",
+        description="v0, a driver's speed on a free road [m/s or 'x km/h'], 0.1 to 70 m/s, uniform",
     )
 
 
@@ -58,22 +57,23 @@ class LaneKeeping(Section):
     """Steering of every vehicle that no agent steers: three equal poles on the lane's centre."""
 
     pole: Positive = Field(
-        2.0, le=3.0, description="closed-loop pole [rad/s], > 0 to 3, <= 0.5/time_step"
+        2.0, ge=0.01, le=3.0, description="closed-loop pole [rad/s], 0.01 to 3, <= 0.5/time_step"
     )
     max_yaw_acceleration: Positive = Field(
         0.5,
+        ge=0.001,
         le=5.0,
-        description="largest yaw acceleration of lane keeping [rad/s^2], 0.14 pole to 5",
+        description="largest yaw acceleration of lane keeping [rad/s^2], 0.001 to 5, >= 0.14 pole",
     )
 
 
 class Command(Section):
     """When a vehicle in a middle lane gets a lane-change command."""
 
-    position: NonNegativeRange = Field(
+    position: Range[Position] = Field(
         (140.0, 160.0),
-        description="position at which a vehicle may be commanded [m], >= 0, < road.length, "
-        "uniform",
+        description="position at which a vehicle may be commanded [m], 0 to 100,000, "
+        "< road.length, uniform",
     )
     probability: NonNegative = Field(
         1.0 / 3.0, le=1.0, description="share of the vehicles commanded [1], 0 to 1"
@@ -96,12 +96,16 @@ class Gap(Section):
         "max(0, dv)^2/(2 max_braking)",
     )
     safe_braking: Positive = Field(
-        4.0, description="b_safe of rule car_following: harder braking aborts [m/s^2], > 0"
+        4.0,
+        ge=0.01,
+        le=100.0,
+        description="b_safe of rule car_following: harder braking aborts [m/s^2], 0.01 to 100",
     )
     braking_margin: NonNegative = Field(
         1.0,
+        le=100.0,
         description="to accept a gap, braking must be milder than safe_braking by this [m/s^2], "
-        ">= 0, < safe_braking",
+        "0 to 100, < safe_braking",
     )
     speed_factor: Positive = Field(
         1.1,
@@ -111,15 +115,17 @@ class Gap(Section):
         "1 to 2",
     )
     minimum_gap: NonNegative = Field(
-        2.0, description="d_min of both rules and of the guard [m], >= 0"
+        2.0, le=10_000.0, description="d_min of both rules and of the guard [m], 0 to 10,000"
     )
     time_gap: NonNegative = Field(
-        0.4, description="tau of rule kinematic and of the guard [s], >= 0"
+        0.4, le=60.0, description="tau of rule kinematic and of the guard [s], 0 to 60"
     )
     max_braking: Positive = Field(
         4.0,
+        ge=0.01,
+        le=1000.0,
         description="b_max, braking of the vehicle behind, of rule kinematic and of the guard "
-        "[m/s^2], > 0",
+        "[m/s^2], 0.01 to 1000",
     )
 
     @model_validator(mode="after")
@@ -150,6 +156,7 @@ class Scenario(Section):
     )
     horizon: Positive | None = Field(
         1800.0,
+        ge=0.01,
         le=1e6,
         description="longest episode after the warm-up [s], time_step to 1e6, null for no limit",
     )
@@ -159,7 +166,7 @@ class Scenario(Section):
     max_vehicles: Count = Field(
         64, ge=4, le=4096, description="largest number of vehicles on the road [count], 4 to 4,096"
     )
-    warmup: NonNegativeRange = Field(
+    warmup: Range[WarmUp] = Field(
         (60.0, 90.0),
         description="simulated traffic before an episode starts [s], 0 to 3600, uniform",
     )
@@ -214,8 +221,6 @@ class Scenario(Section):
             raise ValueError(
                 f"command.lanes = {list(self.command_lanes)} must not name a lane twice"
             )
-        if self.warmup[1] > MAX_WARMUP:
-            raise ValueError(f"warmup = {list(self.warmup)} must be at most {MAX_WARMUP:g} s")
         if self.horizon is not None and self.horizon < self.time_step:
             raise ValueError(
                 f"horizon = {self.horizon} must be at least time_step = {self.time_step}"

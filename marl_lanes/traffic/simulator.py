@@ -1,5 +1,6 @@
 """Roads that advance together: owns the arrays, checks the inputs, divides roads among threads."""
 
+import logging
 import math
 import secrets
 import threading
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from marl_lanes.memory import check_memory
-from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.scenario.followers import LEARNED
 from marl_lanes.traffic.arguments import check_flag, check_whole, read_mask, read_numbers
 from marl_lanes.traffic.machine.compiled import entry_point
@@ -23,13 +24,22 @@ from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policy, choose_policies
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.snapshot import read_snapshot, take_snapshot
-from marl_lanes.traffic.step import RESET, SKIP, STEP, run
+from marl_lanes.traffic.step import RESET, SKIP, STEP, WARM_UP, run
+
+_LOG = logging.getLogger(__name__)
 
 _ROADS_PER_THREAD = 1024
 """With fewer roads for each thread, another thread costs about as much time as it saves."""
 
 # numpy compares with plain integers several times faster than with members of an enumeration.
 _UNFINISHED = int(Outcome.UNFINISHED)
+
+MAX_WAIT = 86_400.0
+"""[s] Simulated time without a live agent after which an endless episode is an error."""
+
+_WORK_PER_CALL = 2**24
+"""[vehicle slot steps] of a kernel call that takes many steps: about a second. Between two calls
+Ctrl-C works."""
 
 _NO_LEARNER = -2
 """A value that ``policy`` of FOLLOWER never has: it is -1 or more."""
@@ -125,6 +135,8 @@ class Simulator:
         self.num_threads = max(1, min(wanted, num_envs))
         self._threads = RoadThreads(num_envs, self.num_threads)
         self._lock = threading.Lock()
+        self._steps_per_call = max(16, _WORK_PER_CALL // self.state.vehicles.size)
+        self._is_fullness_told = False
         self.seed(seed)
 
     @property
@@ -154,12 +166,28 @@ class Simulator:
             ValueError: the mask has another shape or type.
         """
         chosen = self._every_road if mask is None else read_mask("mask", mask, (self.num_envs,))
+        self._tell_if_full(chosen)
         # Nothing of the last episode remains, so equal seeds give equal bytes.
         state = self.state
         for array in (state.vehicles, state.agents, state.followers, state.collisions):
             array[chosen] = np.zeros((), array.dtype)
         self.state.order[chosen] = 0
-        self._run(RESET, chosen)
+        self._run(RESET, chosen, 0)
+        while (self.roads["step"][chosen] < 0).any():
+            self._run(WARM_UP, chosen, self._steps_per_call)
+        self._tell_if_full(chosen)
+
+    def _tell_if_full(self, mask: NDArray[np.bool_]) -> None:
+        """Log, once, that departures waited because ``max_vehicles`` were on a masked road."""
+        if self._is_fullness_told or not self.roads["num_held_back"][mask].any():
+            return
+        self._is_fullness_told = True
+        _LOG.warning(
+            "scenario %r: max_vehicles = %d were on a road, so fewer vehicles enter than "
+            "departures.interval says (num_held_back of the roads counts the steps of waiting)",
+            self.scenario.name,
+            self.scenario.max_vehicles,
+        )
 
     @exclusive
     def step(
@@ -200,15 +228,44 @@ class Simulator:
         """Advance each road without a live agent until it has one, or its episode is over.
 
         Raises:
-            ValueError: in this scenario neither can happen.
+            ScenarioError: the scenario has no horizon, and on some road no agent has become live in
+                a day of simulated time, MAX_WAIT, or it has no commands at all.
+        """
+        self.check_wait(0)
+        num_steps, roads = 0, self.roads
+        longest = math.ceil(MAX_WAIT / self.scenario.time_step)
+        while ((roads["num_live"] == 0) & (roads["is_done"] == 0)).any():
+            self.check_wait(num_steps)
+            # An error does not depend on how many steps a call takes.
+            steps = min(self._steps_per_call, longest - num_steps % longest)
+            self._run(SKIP, self._every_road, steps)
+            num_steps += steps
+
+    def check_wait(self, num_steps: int) -> None:
+        """Refuse to wait on for a live agent where one will hardly come.
+
+        Args:
+            num_steps: time steps without one so far.
+
+        Raises:
+            ScenarioError: the scenario has no horizon, and they last MAX_WAIT or longer, or it has
+                no commands at all.
         """
         scenario = self.scenario
-        if scenario.command.probability == 0.0 and scenario.horizon is None:
-            raise ValueError(
+        if scenario.horizon is not None:
+            return
+        if scenario.command.probability == 0.0:
+            raise ScenarioError(
                 f"scenario {scenario.name!r}: command.probability = 0 and horizon = null: no agent "
                 "would ever be live"
             )
-        self._run(SKIP, self._every_road)
+        if num_steps * scenario.time_step >= MAX_WAIT:
+            raise ScenarioError(
+                f"scenario {scenario.name!r}: no agent has become live in "
+                f"{num_steps * scenario.time_step:.0f} s of simulated time, and horizon = null: "
+                "set a horizon, or let commands come sooner (departures.interval, "
+                "command.probability, command.position, command.lanes)"
+            )
 
     @exclusive
     def snapshot(self) -> bytes:
@@ -299,7 +356,7 @@ class Simulator:
 
     def _advance(self) -> None:
         self._ask_policies()
-        self._run(STEP, self._every_road)
+        self._run(STEP, self._every_road, 1)
 
     def _ask_policies(self) -> None:
         """Fill in the actions of the followers that a policy drives, once all have answered."""
@@ -318,10 +375,11 @@ class Simulator:
     def _gather_arguments(self) -> tuple[NDArray[Any], ...]:
         return (self.actions, self.follower_actions, *self.state.arrays, *self.parameters.arrays)
 
-    def _run(self, mode: int, mask: NDArray[np.bool_]) -> None:
+    def _run(self, mode: int, mask: NDArray[np.bool_], num_steps: int) -> None:
+        given = mode, num_steps, mask, *self._arguments
         if self._kernel is None:
-            self._kernel = entry_point(run, (0, self.num_envs, mode, mask, *self._arguments))
-        self._threads.run(self._kernel, mode, mask, *self._arguments)
+            self._kernel = entry_point(run, (0, self.num_envs, *given))
+        self._threads.run(self._kernel, *given)
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy has its own lock and threads, and the arguments must be the arrays of its state.

@@ -4,6 +4,7 @@ Every array argument is one road's row of the state, or a parameter of the scena
 point ``run`` takes whole arrays and a range of roads, so that threads can share a batch.
 """
 
+import math
 from typing import Any
 
 from marl_lanes.traffic.command.outcome import find_outcome
@@ -38,7 +39,8 @@ from marl_lanes.traffic.roles.pairing import clear_follower, pair
 
 STEP = 0
 SKIP = 1
-RESET = 2
+WARM_UP = 2
+RESET = 3
 """What ``run`` does with a road."""
 
 _ABSENT = int(Phase.ABSENT)
@@ -54,13 +56,15 @@ _HORIZON = int(Outcome.HORIZON)
 @internal
 def move(
     road: Any, vehicles: Any, order: Any, agents: Any, actions: Any, arcs: Any, constants: Any
-) -> tuple[bool, bool]:
+) -> tuple[bool, bool, float, float]:
     """Steer and move every vehicle, update the order, mark the vehicles that leave the road.
 
     Returns:
-        Whether a vehicle leaves, and whether one has reached its command position.
+        Whether a vehicle leaves, whether one has reached its command position, and the longest
+        relative motion of two vehicles along the road and across it [m].
     """
     is_leaving = is_command_due = False
+    furthest, nearest, left, right = -math.inf, math.inf, 0.0, 0.0
     bound = constants.max_yaw_acceleration
     for rank in range(road.num_vehicles):
         car = vehicles[order[rank]]
@@ -70,7 +74,11 @@ def move(
             car.yaw_acceleration = agents[car.agent].direction * action
         else:
             car.yaw_acceleration = keep_lane(car, turn_rate, constants)
+        before = car.lateral_position
         extent = integrate(car, turn_rate, arcs, constants)
+        furthest, nearest = max(furthest, car.advance), min(nearest, car.advance)
+        sideways = car.lateral_position - before
+        left, right = max(left, sideways), min(right, sideways)
         insert_by_position(order, rank, vehicles)
         car.changer = NONE
         if is_off_road(car, extent, constants):
@@ -81,7 +89,7 @@ def move(
             is_leaving = True
         elif car.position >= car.command_position:
             is_command_due = True
-    return is_leaving, is_command_due
+    return is_leaving, is_command_due, furthest - nearest, left - right
 
 
 @internal
@@ -203,6 +211,7 @@ def run(
     start: int,
     stop: int,
     mode: int,
+    num_steps: int,
     mask: Any,
     actions: Any,
     follower_actions: Any,
@@ -231,8 +240,9 @@ def run(
     Args:
         start: first road.
         stop: the road after the last.
-        mode: STEP for one time step; SKIP until an agent is live or the episode is over; RESET for
-            an empty road and its warm-up.
+        mode: STEP; SKIP until an agent is live or the episode is over; WARM_UP until the warm-up is
+            over; RESET to empty the road first.
+        num_steps: the most time steps of each road.
         mask: (E,) bool.
         actions: (E, A, D) float64, yaw acceleration in the maneuver frame [rad/s^2] and, if the
             scenario has it, longitudinal acceleration [m/s^2].
@@ -256,13 +266,11 @@ def run(
         scene = Scene(road, cars, ranks, live, profiles, arcs, p)
         if mode == RESET:
             clear(road, lane, cars, live, behind, crashes, seen, seen_behind, profiles, p)
-        is_first = mode == STEP
-        while (
-            is_first
-            or (mode == RESET and road.step < 0)
-            or (mode == SKIP and road.num_live == 0 and not road.is_done)
-        ):
-            is_first = False
+        for _ in range(num_steps):
+            if mode == SKIP and (road.num_live > 0 or road.is_done):
+                break
+            if mode == WARM_UP and road.step >= 0:
+                break
             clear_ended(road, live, seen)
             free_slots(road, cars)
             if p.is_moving_over_allowed:
@@ -282,16 +290,19 @@ def run(
                 vehicles,
                 after,
             )
-            is_leaving, is_command_due = move(road, cars, ranks, live, actions[env], arcs, p)
+            is_leaving, is_command_due, along, across = move(
+                road, cars, ranks, live, actions[env], arcs, p
+            )
             road.step += 1
-            if detect_collisions(road, cars, ranks, live, crashes, p):
+            if detect_collisions(road, along, across, cars, ranks, live, crashes, p):
                 is_leaving = True
             if road.num_live > 0:
                 judge(scene, seen, features)
             if is_leaving:
                 remove_vehicles(road, cars, ranks)
             depart(road, lane, cars, ranks, live, p, profiles, dispositions, arcs)
-            if is_command_due:
+            # A vehicle may enter at its command position.
+            if is_command_due or p.command_low == 0.0:
                 give_commands(road, cars, ranks, live, p)
             if road.num_live > 0:
                 renew(scene, seen, features)

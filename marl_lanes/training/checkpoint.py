@@ -4,10 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from marl_lanes.envs.fit import check_fit, network_form
-from marl_lanes.files import write_atomically
 from marl_lanes.naf.checkpoint import (
     FORMAT,
     Checkpoint,
@@ -16,6 +13,7 @@ from marl_lanes.naf.checkpoint import (
     build_checkpoint,
     read_checkpoint,
     read_content,
+    write_archive,
 )
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
@@ -65,7 +63,11 @@ def make_actor_network(
 
 
 def save_checkpoint(path: Path, network: PolicyNetwork, scenario: str, transitions: int) -> None:
-    """Write a checkpoint, whole or not at all."""
+    """Write a checkpoint, whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     (form,) = [form for form, kind in FORMATS.items() if kind is type(network)]
     content: dict[str, Any] = {
         "format": form,
@@ -74,7 +76,7 @@ def save_checkpoint(path: Path, network: PolicyNetwork, scenario: str, transitio
         "scenario": scenario,
         "transitions": transitions,
     }
-    write_atomically(path, lambda temporary: torch.save(content, temporary))
+    write_archive(path, content)
 
 
 def load_checkpoint(path: Path, scenario: Scenario) -> Checkpoint[NAFNetwork]:

@@ -1,22 +1,22 @@
-"""Command line of a training program: hydra composes it with the program's YAML files."""
+"""Command line of a program: hydra composes it with its YAML files; bad input is one line."""
 
 import argparse
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 from hydra import compose, initialize_config_dir
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel
 
-from marl_lanes.scenario.messages import fields_at, unknown_key
 from marl_lanes.scenario.yaml_files import format_yaml
 from marl_lanes.training.config import ConfigError, ProgramConfig
+from marl_lanes.training.overrides import check_overrides
 
 MAIN_FILE = "config"
 """The YAML file of a program that names the other ones."""
@@ -29,6 +29,35 @@ Fields = dict[str, Any]
 
 Choices = Mapping[str, Callable[[Fields], str]]
 """For a folder of YAML files, by name: which file to use, given the composed fields."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Refuses options as the programs refuse everything else: in one line, with status 2.
+
+    Args:
+        **options: those of ``ArgumentParser``. Options cannot be abbreviated.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """End the program."""
+        _refuse(f"{message}; --help shows what is allowed")
+
+
+@contextmanager
+def refusing() -> Iterator[None]:
+    """Where what was given cannot be, end the program with status 2 and one line on stderr."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        _refuse(str(error))
+
+
+def _refuse(reason: str) -> NoReturn:
+    print(f"error: {' '.join(reason.split())}", file=sys.stderr)  # noqa: T201
+    sys.exit(2)
 
 
 def read_command_line(
@@ -55,7 +84,7 @@ def read_command_line(
     Raises:
         ConfigError: a key is unknown, or an override cannot be read.
     """
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=description,
         epilog="fields:\n" + "\n".join(_describe(kind)),
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -104,18 +133,18 @@ def compose_fields(
     Raises:
         ConfigError: a key is unknown, or an override cannot be read.
     """
+    given = check_overrides(kind, folder, overrides)
     try:
         with initialize_config_dir(str(folder.resolve()), version_base=HYDRA_VERSION):
             fields = _compose(file, overrides)
-            named = _keys(overrides)
             chosen = [
                 f"{name}={choose(fields)}"
                 for name, choose in (choices or {}).items()
-                if name not in named
+                if name not in given
             ]
             return _compose(file, [*overrides, *chosen]) if chosen else fields
     except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(_explain(error, kind, overrides)) from None
+        raise ConfigError(_explain(error)) from None
 
 
 def _compose(file: str, overrides: Sequence[str]) -> Fields:
@@ -123,27 +152,11 @@ def _compose(file: str, overrides: Sequence[str]) -> Fields:
     return cast("Fields", OmegaConf.to_container(composed, resolve=True))
 
 
-def _keys(overrides: Sequence[str]) -> list[str]:
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    return [override.key_or_group for override in parsed]
-
-
-def _explain(error: Exception, kind: type[ProgramConfig], overrides: Sequence[str]) -> str:
+def _explain(error: Exception) -> str:
     """One line about what hydra does not accept."""
-    if isinstance(error, MissingConfigException) and error.options:
-        name, _, file = str(error.missing_cfg_file).partition("/")
-        return f"{name} = {file!r}: must be {', '.join(error.options)}"
-    try:
-        keys = _keys(overrides)
-    except HydraException:
-        keys = []
-    for key in keys:
-        parts = key.split(".")
-        for place, part in enumerate(parts):
-            allowed = fields_at(kind, parts[:place])
-            if allowed is not None and part not in allowed:
-                return unknown_key(".".join(parts[: place + 1]), allowed)
-    return " ".join(str(error).split())
+    reason = " ".join(str(error).split())
+    _, is_of_kind, override = reason.partition("Error merging override ")
+    return f"{override}: must be of the kind that --cfg job shows" if is_of_kind else reason
 
 
 def _describe(kind: type[BaseModel], prefix: str = "") -> Iterator[str]:

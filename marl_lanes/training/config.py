@@ -42,11 +42,15 @@ def _check_device(name: str) -> str:
     return name
 
 
-Number = Annotated[Count, Field(ge=1)]
-CountOrZero = Annotated[Count, Field(ge=0)]
+Number = Annotated[Count, Field(ge=1, le=10**12)]
+CountOrZero = Annotated[Count, Field(ge=0, le=10**12)]
+Processes = Annotated[Count, Field(ge=1, le=1024)]
 Seed = Annotated[Count, Field(ge=0, lt=2**63)]
 Device = Annotated[str, AfterValidator(_check_device)]
-Widths = Annotated[list[Number], Field(min_length=1)]
+Widths = Annotated[list[Number], Field(min_length=1, max_length=32)]
+Magnitude = Annotated[Positive, Field(le=1e30)]
+"""What float32 holds, and its square in float64."""
+Sigma = Annotated[NonNegative, Field(le=100.0)]
 
 
 class CollectorConfig(Section):
@@ -90,30 +94,33 @@ class ReplayConfig(Section):
 class OptimizerConfig(Section):
     """Adam."""
 
-    learning_rate: Positive = Field(description="step size")
+    learning_rate: Magnitude = Field(description="step size")
     final_rate: Real = Field(
         gt=0.0,
         le=1.0,
         description="share of the step sizes that is left at the end; they fall linearly",
     )
-    max_gradient_norm: Positive | None = Field(
+    max_gradient_norm: Magnitude | None = Field(
         description="gradients are scaled down to this norm; null: not"
     )
-    transitions_per_update: Positive = Field(description="new transitions for each update")
+    transitions_per_update: Real = Field(
+        ge=1e-3, le=1e12, description="new transitions for each update"
+    )
 
 
 class ExplorationConfig(Section):
     """Gaussian noise on the greedy action."""
 
-    initial_sigma: NonNegative = Field(description="at the start, of each action's half range [1]")
-    final_sigma: NonNegative = Field(
+    initial_sigma: Sigma = Field(description="at the start, of each action's half range [1]")
+    final_sigma: Sigma = Field(
         description="from annealing_transitions on, of each action's half range [1]"
     )
     annealing_transitions: CountOrZero = Field(
         description="transitions over which it falls, linearly"
     )
     longitudinal_factor: Positive = Field(
-        description="multiplies the noise of a second action, the longitudinal acceleration [1]"
+        le=1000.0,
+        description="multiplies the noise of a second action, the longitudinal acceleration [1]",
     )
 
     @model_validator(mode="after")
@@ -179,6 +186,16 @@ class LearnerConfig(Section):
     exploration: ExplorationConfig
     evaluation: EvaluationConfig
 
+    @model_validator(mode="after")
+    def _check_warmup(self) -> Self:
+        warmup, total = self.replay.warmup_transitions, self.collector.total_transitions
+        if warmup >= total:
+            raise ValueError(
+                f"replay.warmup_transitions = {warmup}: must be below collector.total_transitions "
+                f"= {total}, or nothing is learned"
+            )
+        return self
+
 
 class ProgramConfig(Section):
     """Fields of every training program."""
@@ -187,18 +204,18 @@ class ProgramConfig(Section):
     model_config = ConfigDict(coerce_numbers_to_str=True)
 
     scenario: str = Field(
-        description="name or path of the scenario; the evaluation is on it, unchanged"
+        min_length=1,
+        description="name or path of the scenario; the evaluation is on it, unchanged",
     )
     training_overrides: dict[str, Any] = Field(
         description="scenario fields replaced while transitions are collected"
     )
     seed: Seed = Field(description="of the traffic, the networks, the noise and the replay")
-    output: str = Field(description="the run folder")
+    output: str = Field(min_length=1, description="the run folder")
     resume: str | None = Field(
-        description="a run folder to continue; its own config counts, and nothing else on the "
-        "command line"
+        description="a run folder to continue, with its own config; nothing else may be given"
     )
-    num_threads: Number = Field(description="threads of torch")
+    num_threads: Processes = Field(description="threads of torch")
     device: Device = Field(
         description="where the network acts and learns: cpu, or cuda[:N]; the traffic is on the CPU"
     )
@@ -217,7 +234,7 @@ class ChangersConfig(LearnerConfig, ProgramConfig):
     """Fields of every program that trains the lane changers."""
 
     collector: DistributedCollectorConfig
-    num_workers: Number = Field(
+    num_workers: Processes = Field(
         description="processes that collect, with collector=multi or ray; each has its share of "
         "num_envs"
     )
@@ -275,19 +292,6 @@ def read_config(kind: type[Config], fields: Mapping[str, Any]) -> Config:
     origin = f"resume = {resume!r}: "
     stored = _read_stored(Path(resume), origin) | {"output": resume, "resume": resume}
     return validate(kind, stored, f"{origin}its {CONFIG_FILE}: ")
-
-
-def read_scenario_name(folder: Path) -> str:
-    """Name or file of a run's scenario, from the run's configuration.
-
-    Raises:
-        ConfigError: the folder is not one of a run, or its configuration names no scenario.
-    """
-    origin = f"run {folder}: "
-    name = _read_stored(folder, origin).get("scenario")
-    if not isinstance(name, str):
-        raise ConfigError(f"{origin}its {CONFIG_FILE}: scenario = {shown(name)}: must be a name")
-    return name
 
 
 def _read_stored(folder: Path, origin: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,18 @@ from tqdm import tqdm
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.extras import need
 from marl_lanes.files import write_json
-from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
+from marl_lanes.training.failures import (
+    IdleWatch,
+    TrainingError,
+    check_losses,
+    check_weights,
+    explain_divergence,
+)
 from marl_lanes.training.interruptions import note_interruptions
 from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
@@ -31,9 +39,9 @@ from marl_lanes.training.run_folder import (
     FINAL_MODEL,
     STATE_FILE,
     RunFolder,
-    check_empty,
 )
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
+from marl_lanes.training.torch_settings import training_settings
 from marl_lanes.training.transitions import finished_maneuvers, live_transitions
 
 ROWS_AT_ONCE = 32_768
@@ -83,6 +91,7 @@ class Learner:
         self.collector = make_collector(env, self.policy, config.collector.steps_per_batch)
         self.counters = defaultdict[str, float](float)
         """transitions, updates, saved (models), and seconds by activity."""
+        self.idle = IdleWatch(env.scenario)
 
     @property
     def transitions(self) -> int:
@@ -117,44 +126,65 @@ class Learner:
         size = self.memory["bytes_per_stored_transition"]
         return Replay(self.config.replay, folder / BUFFER_FOLDER, size, self.algorithm.device)
 
-    def _open(self, folder: Path, until: int | None = None) -> RunFolder:
-        evaluated = self.config.evaluation.metrics
-        return RunFolder(folder, self.algorithm.columns, evaluated=evaluated, until=until)
+    def begin(self, folder: Path, keep_inputs: Callable[[], object] | None = None) -> None:
+        """Start in a new or empty folder, and write the first training state. An error empties it.
 
-    def begin(self, folder: Path) -> None:
-        """Start in a new or empty folder.
+        Args:
+            folder: of the run.
+            keep_inputs: writes what a resumed run needs besides, before the training state.
 
         Raises:
-            ConfigError: it holds something, or its disk is too small for the replay buffer.
+            ConfigError: it holds something, another process is at work in it, or its disk is too
+                small for the replay buffer.
+            OSError: it cannot be written.
         """
-        check_empty(folder)
-        self.replay = self._make_replay(folder)
-        self.run = self._open(folder)
-        self.save()
+        evaluated = self.config.evaluation.metrics
+        self.run = RunFolder(folder, self.algorithm.columns, evaluated=evaluated)
+        try:
+            if keep_inputs is not None:
+                keep_inputs()
+            self.replay = self._make_replay(folder)
+            self.save()
+        except BaseException:
+            self.run.discard()
+            raise
 
     def resume(self, folder: Path) -> None:
         """Go on from the training state in the folder.
 
         Raises:
-            CheckpointError: there is none, or it cannot be read.
+            CheckpointError: there is none, or it is damaged, or of another run.
+            ConfigError: another process is at work in the folder.
         """
-        content = read_state(folder / STATE_FILE)
-        self.counters.update(content["counters"])
+        path = folder / STATE_FILE
+        content = read_state(path)
+        counters, extents = content.get("counters"), content.get("tables")
+        if not isinstance(counters, dict) or not isinstance(extents, dict):
+            raise CheckpointError(f"training state {path}: counters and tables must be there")
+        self.counters.update(counters)
+        self.run = RunFolder(
+            folder,
+            self.algorithm.columns,
+            evaluated=self.config.evaluation.metrics,
+            extents=extents,
+            until=self.transitions,
+        )
         self.replay = self._make_replay(folder)
         restore_state(
+            path,
             content,
             loss=self.algorithm.loss,
             optimizer=self.algorithm.optimizer,
             replay=self.replay,
             collector=self.collector,
         )
-        self.run = self._open(folder, until=self.transitions)
 
     def save(self) -> None:
         """Write the training state."""
         save_state(
             self.run.state,
             counters=dict(self.counters),
+            tables=self.run.take_extents(),
             loss=self.algorithm.loss,
             optimizer=self.algorithm.optimizer,
             replay=self.replay,
@@ -212,18 +242,35 @@ class Learner:
             transitions = live_transitions(batch, self.group)
             self.replay.extend(transitions)
             self.counters["transitions"] += len(transitions)
+            self.idle.note(batch, len(transitions))
         with self.timed("learning"):
             config = self.config
             start = config.replay.warmup_transitions
             due = max(0, self.transitions - start) / config.optimizer.transitions_per_update
             losses = self.update(int(due) - int(self.counters["updates"]))
+            found = {name: values.tolist() for name, values in losses.items()}
+            self.check(found)
         with self.timed("logging"):
-            self.log(batch, losses)
+            self.log(batch, found)
 
-    def log(self, batch: TensorDictBase, losses: Mapping[str, Tensor]) -> None:
+    def check(self, losses: Mapping[str, Sequence[float]]) -> None:
+        """Look at a round of updates, before its weights act or are saved.
+
+        Raises:
+            TrainingError: a loss, a weight or a mean of the gradients says that it diverges.
+        """
+        if losses:
+            updates = int(self.counters["updates"])
+            try:
+                check_losses(losses, updates)
+                check_weights(self.algorithm.optimizer, updates)
+            except TrainingError as error:
+                raise explain_divergence(error, self.config.optimizer) from None
+
+    def log(self, batch: TensorDictBase, losses: Mapping[str, Sequence[float]]) -> None:
         """One row of metrics, one for every maneuver that ended."""
         returns, outcomes = finished_maneuvers(batch, self.group)
-        means = {name: float(np.mean(values.tolist())) for name, values in losses.items()}
+        means = {name: float(np.mean(values)) for name, values in losses.items()}
         learned = {**self.algorithm.schedules(), **means}
         row = {
             "updates": int(self.counters["updates"]),
@@ -247,6 +294,9 @@ class Learner:
         save_checkpoint(path, network, self.env.scenario.name, self.transitions)
         recorded = self.run.trajectory(name) if self.config.evaluation.record else None
         summary = evaluate_model(network, recorded)
+        for metric, value in summary.items():
+            if isinstance(value, float) and not isfinite(value):
+                raise TrainingError(f"{name}: {metric} = {value}: must be finite, or null")
         row = [summary[key] for key in self.config.evaluation.metrics]
         self.run.evaluations.append(
             (self.transitions, name, *("" if value is None else value for value in row))
@@ -271,11 +321,13 @@ class Learner:
 
         Raises:
             WorkerError: a worker has died; the training state is the last one that was written.
+            TrainingError: it diverges, or nobody acts; likewise.
         """
         total = self.config.collector.total_transitions
         interval = self.config.evaluation.save_interval
         criterion = self.config.evaluation.criterion
         with (
+            training_settings(self.algorithm.device),
             note_interruptions() as interrupted,
             tqdm(
                 total=total, initial=self.transitions, unit="tr", unit_scale=True, desc="training"

@@ -1,5 +1,6 @@
 """What the updates are drawn from: the newest transitions, and the rare ones once more."""
 
+import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -43,6 +44,7 @@ class Replay:
         bytes_per_transition: float,
         device: torch.device = CPU,
     ) -> None:
+        self.folder = folder
         self.batch_size = config.batch_size
         self.device = device
         self.is_in_memory = config.storage == "memory"
@@ -75,15 +77,28 @@ class Replay:
         return len(self.rings["newest"])
 
     def extend(self, transitions: TensorDictBase) -> None:
-        """Add transitions, (N,), which are on the CPU, over the oldest ones."""
+        """Add transitions, (N,), which are on the CPU, over the oldest ones.
+
+        Raises:
+            OSError: the disk has no room for the files.
+        """
         if self.is_in_memory:
             transitions = send(transitions, self.device)
-        if len(transitions):
-            self.rings["newest"].extend(transitions)
+        self._extend("newest", transitions)
         if "rare" in self.rings and RARE in transitions.keys():  # noqa: SIM118
-            rare = transitions[transitions[RARE]]
-            if len(rare):
-                self.rings["rare"].extend(rare)
+            self._extend("rare", transitions[transitions[RARE]])
+
+    def _extend(self, name: str, rows: TensorDictBase) -> None:
+        if not len(rows):
+            return
+        ring = self.rings[name]
+        is_first = not len(ring)
+        ring.extend(rows)
+        if is_first and not self.is_in_memory:
+            # The files have holes: to write there on a full disk would end the process.
+            for path in (self.folder / name).rglob("*.memmap"):
+                with path.open("r+b") as file:
+                    os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
 
     def sample(self, number: int) -> TensorDictBase:
         """Draw ``number`` batches, (number, batch_size), on the device."""
@@ -118,7 +133,7 @@ class Replay:
             rows = state[name]["rows"]
             if rows:
                 size = next(iter(rows.values())).shape[0]
-                ring.extend(TensorDict(rows, [size]).unflatten_keys("."))
+                self._extend(name, TensorDict(rows, [size]).unflatten_keys("."))
             ring.writer.load_state_dict(state[name]["writer"])
 
 

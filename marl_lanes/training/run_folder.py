@@ -1,14 +1,26 @@
 """The folder of a training run: config, tables, checkpoints, trajectories, figures."""
 
 import csv
+import hashlib
+import os
+import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from torch.utils.tensorboard import SummaryWriter
 
-from marl_lanes.files import copy_file, write_atomically, write_json
+from marl_lanes.files import (
+    LOCK_FILE,
+    LockedError,
+    copy_file,
+    lock_folder,
+    open_regular,
+    write_json,
+)
+from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.config import CONFIG_FILE, EVALUATED, ConfigError
 
 Value = float | int | str
@@ -50,48 +62,93 @@ CHOICE_FILE = "choice.json"
 """File name of what the saved models are worth by the criterion, and of the best."""
 
 
+Extent = Mapping[str, Any]
+"""Where a table ended: ``size`` in bytes, and the ``sha256`` of so many."""
+
+
 class Table:
-    """A CSV file that grows row by row; its first column is the number of transitions."""
+    """A CSV file that grows row by row; its first column is the number of transitions.
 
-    def __init__(self, path: Path, columns: Sequence[str], *, until: int | None = None) -> None:
-        """Begin the table anew, or go on with its rows of at most ``until`` transitions.
+    Args:
+        path: of the file.
+        columns: their names.
+        extent: None to begin the table anew; otherwise where to go on. What is beyond is cut off.
 
-        The row of the final model is never kept: it is written again when the run ends.
-        """
-        self.columns = tuple(columns)
-        kept: list[list[str]] = []
-        if until is not None:
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = list(csv.reader(file))[1:]
-            # A row cut short by a crash has no end; none of it counts.
-            whole = [row for row in rows if len(row) == len(self.columns)]
-            kept = [row for row in whole if int(row[0]) <= until and FINAL_MODEL not in row]
+    Raises:
+        OSError: it cannot be written.
+    """
 
-        def write(temporary: Path) -> None:
-            with temporary.open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerows([self.columns, *kept])
-
-        write_atomically(path, write)
-        self._file = path.open("a", newline="", encoding="utf-8")
+    def __init__(self, path: Path, columns: Sequence[str], *, extent: Extent | None = None) -> None:
+        self.path = path
+        if extent is not None:
+            os.truncate(path, extent["size"])
+        mode = "w" if extent is None else "a"
+        self._file = path.open(mode, newline="", encoding="utf-8")
         self._writer = csv.writer(self._file)
+        if extent is None:
+            self.append(columns)
 
     def append(self, *rows: Sequence[Value]) -> None:
         """Add rows, values in the order of the columns."""
         self._writer.writerows(rows)
         self._file.flush()
 
+    def take_extent(self) -> Extent:
+        """Where it ends now; so much is on the disk."""
+        os.fsync(self._file.fileno())
+        content = self.path.read_bytes()
+        return {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def check_extent(path: Path, extent: Any) -> None:
+    """Refuse a table whose rows up to its extent are not those that were written.
+
+    Raises:
+        CheckpointError: they have changed, or are gone.
+    """
+    try:
+        size, wanted = int(extent["size"]), extent["sha256"]
+        with open_regular(path) as file:
+            content = file.read(size)
+    except (LookupError, TypeError, ValueError, OSError):
+        content, wanted = b"", None
+    if hashlib.sha256(content).hexdigest() != wanted:
+        raise CheckpointError(
+            f"table {path}: must begin with the rows of the run that {STATE_FILE} is of; it has "
+            "changed since, or is gone"
+        )
+
+
+def lock_run(path: Path) -> BinaryIO:
+    """Make a run folder and lock it until the file is closed; a run has one process.
+
+    Raises:
+        ConfigError: another process is at work in it.
+        OSError: it cannot be made or locked.
+    """
+    path.mkdir(parents=True, exist_ok=True)
+    try:
+        return lock_folder(path)
+    except LockedError:
+        raise ConfigError(
+            f"output = {str(path)!r}: another process trains in it: wait for it, or end it"
+        ) from None
 
 
 def check_empty(path: Path) -> None:
     """Refuse a folder for a new run that holds something.
 
     Raises:
-        ConfigError: it does.
+        ConfigError: it does, or it is a file, or in one.
     """
-    if path.exists() and any(path.iterdir()):
+    files = [str(one) for one in (path, *path.parents) if one.is_file()]
+    if files:
+        raise ConfigError(f"output = {str(path)!r}: must be a folder; {files[0]} is a file")
+    if path.exists() and any(entry.name != LOCK_FILE for entry in path.iterdir()):
         raise ConfigError(
             f"output = {str(path)!r}: must be a new or empty folder; a run that it holds "
             f"already can be continued with resume={path}"
@@ -99,47 +156,73 @@ def check_empty(path: Path) -> None:
 
 
 class RunFolder:
-    """Paths and logs of one run.
+    """Paths and logs of one run; no other process may use the folder until it is closed.
 
     Args:
         path: the folder; made when missing.
         learned: columns of the algorithm in the table of metrics.
-        until: None for a new run, which needs an empty folder; for one that is resumed, the
-            transitions of its checkpoint, beyond which the logs are cut off.
         evaluated: the metrics in the table of the saved models.
+        extents: None for a new run, which needs an empty folder; for one that is resumed, where
+            its tables ended when the training state was written. What is beyond is cut off.
+        until: for one that is resumed, the transitions that it had made then.
 
     Raises:
-        ConfigError: a new run's folder already holds a run.
+        ConfigError: another process is at work in the folder, or it already holds a run.
+        CheckpointError: a table is not the one that the training state is of.
+        OSError: the folder cannot be written.
     """
+
+    metrics: Table
+    maneuvers: Table
+    evaluations: Table
 
     def __init__(
         self,
         path: Path,
         learned: Sequence[str],
         *,
-        until: int | None = None,
         evaluated: Sequence[str] = EVALUATED,
+        extents: Mapping[str, Extent] | None = None,
+        until: int = 0,
     ) -> None:
         self.path = path
-        if until is None:
-            check_empty(path)
-        self.checkpoints.mkdir(parents=True, exist_ok=True)
-        self.metrics = Table(
-            path / "metrics.csv",
-            ("transitions", "updates", *learned, "num_ended", "mean_return"),
-            until=until,
-        )
-        self.maneuvers = Table(
-            path / "maneuvers.csv", ("transitions", "return", "outcome"), until=until
-        )
-        self.evaluations = Table(
-            path / EVALUATIONS_FILE,
-            ("transitions", "checkpoint", *evaluated),
-            until=until,
-        )
-        self._board = SummaryWriter(
-            str(path / "tensorboard"), purge_step=None if until is None else until + 1
-        )
+        self._columns = {
+            "metrics": ("transitions", "updates", *learned, "num_ended", "mean_return"),
+            "maneuvers": ("transitions", "return", "outcome"),
+            "evaluations": ("transitions", "checkpoint", *evaluated),
+        }
+        self._stack = ExitStack()
+        self._stack.enter_context(lock_run(path))
+        try:
+            if extents is None:
+                check_empty(path)
+            else:
+                for name in self._columns:
+                    check_extent(self._table(name), extents.get(name))
+        except BaseException:
+            self.close()
+            raise
+        try:
+            self._begin(extents or {}, None if extents is None else until + 1)
+        except BaseException:
+            self.close() if extents is not None else self.discard()
+            raise
+
+    def _begin(self, extents: Mapping[str, Extent], purge_step: int | None) -> None:
+        self.checkpoints.mkdir(exist_ok=True)
+        for name, columns in self._columns.items():
+            table = Table(self._table(name), columns, extent=extents.get(name))
+            self._stack.callback(table.close)
+            setattr(self, name, table)
+        self._board = SummaryWriter(str(self.path / "tensorboard"), purge_step=purge_step)
+        self._stack.callback(self._board.close)
+
+    def take_extents(self) -> dict[str, Extent]:
+        """Where each table ends now; so much is on the disk."""
+        return {name: getattr(self, name).take_extent() for name in self._columns}
+
+    def _table(self, name: str) -> Path:
+        return self.path / f"{name}.csv"
 
     @property
     def config(self) -> Path:
@@ -204,7 +287,10 @@ class RunFolder:
                 self._board.add_scalar(f"{group}/{name}", value, transitions)
 
     def close(self) -> None:
-        """Close the logs."""
-        for table in (self.metrics, self.maneuvers, self.evaluations):
-            table.close()
-        self._board.close()
+        """Close the logs, and let other processes use the folder."""
+        self._stack.close()
+
+    def discard(self) -> None:
+        """Remove what a run left that could not begin, and the folder."""
+        self.close()
+        shutil.rmtree(self.path, ignore_errors=True)

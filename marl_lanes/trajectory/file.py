@@ -1,5 +1,6 @@
 """Trajectories as Parquet files: one row for each vehicle and time step."""
 
+import textwrap
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -9,10 +10,12 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from marl_lanes.extras import need
-from marl_lanes.files import replacing
+from marl_lanes.files import open_regular, replacing
+from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.machine.state import NONE
+from marl_lanes.trajectory.checksum import Checksum
 from marl_lanes.trajectory.columns import COLUMNS, ROW, Column, new_rows
 from marl_lanes.trajectory.frames import Frame, Rows
 from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
@@ -24,6 +27,9 @@ if TYPE_CHECKING:
 METADATA_KEY = b"marl_lanes"
 """Key of the metadata, JSON, among the file's key-value pairs."""
 
+SUM_KEY = b"marl_lanes.sha256"
+"""Key of the checksum of the metadata and of all rows, beside it."""
+
 LARGEST = 1e7
 """Magnitude of the largest number that is read; the times of the longest episodes are below it."""
 
@@ -31,6 +37,9 @@ _TIME_ERROR = 1e-6
 """[s] By which a time may differ from its step's."""
 
 _ROWS_PER_GROUP = 200_000
+
+_BYTES_PER_ROW = 4 * ROW.itemsize
+"""While it is read: as Arrow's table, as rows, and as ordered rows."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +121,7 @@ class TrajectoryWriter:
         temporary = self._stack.enter_context(replacing(self.path))
         try:
             self._schema = make_schema(self.metadata)
+            self._checksum = Checksum(self._schema.metadata[METADATA_KEY])
             reals = [column.name for column in COLUMNS if column.kind.startswith("f")]
             others = [column.name for column in COLUMNS if not column.kind.startswith("f")]
             self._file = self._stack.enter_context(
@@ -132,6 +142,7 @@ class TrajectoryWriter:
         if error[0] is None:
             try:
                 self._flush()
+                self._file.add_key_value_metadata({SUM_KEY: self._checksum.finish()})
             except BaseException as failure:
                 self._stack.__exit__(type(failure), failure, failure.__traceback__)
                 raise
@@ -149,6 +160,7 @@ class TrajectoryWriter:
             rows = make_trajectory(self.metadata, self._blocks).rows
             self._blocks, self._num_waiting = [], 0
             self._file.write_table(make_table(self.metadata, rows))
+            self._checksum.add(rows)
 
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
@@ -166,30 +178,42 @@ def read_trajectory(path: Path) -> Trajectory:
     """Read a Parquet file.
 
     Raises:
-        TrajectoryError: it cannot be read, or is no trajectory of this form.
+        TrajectoryError: it cannot be read, is no trajectory of this form, or has changed since it
+            was written.
         MissingExtraError: pyarrow is not installed.
     """
     arrow, parquet = need("pyarrow", "view"), need("pyarrow.parquet", "view")
     try:
-        opened = path.open("rb")
+        opened = open_regular(path)
     except OSError as error:
         raise TrajectoryError(f"trajectory {path}: cannot be read: {error.strerror}") from None
     with opened as file:
         try:
-            table = parquet.read_table(file)
-        # pyarrow says OSError of damaged content, too.
-        except (arrow.ArrowException, OSError) as error:
-            reason = " ".join(str(error).split())
+            content = parquet.ParquetFile(file)
+            num_rows = content.metadata.num_rows
+            check_memory(f"{path}: its number of rows", num_rows, num_rows * _BYTES_PER_ROW)
+            table = content.read(columns=[column.name for column in COLUMNS])
+        # pyarrow says OSError and others of damaged content, too.
+        except (arrow.ArrowException, OSError, MemoryError, ValueError) as error:
+            reason = textwrap.shorten(str(error), 200)
             raise TrajectoryError(f"{path}: not readable as Parquet: {reason}") from None
-    text = (table.schema.metadata or {}).get(METADATA_KEY)
+    found = table.schema.metadata or {}
+    text = found.get(METADATA_KEY)
     if text is None:
         raise TrajectoryError(f"{path}: has no metadata {METADATA_KEY.decode()!r}: no trajectory")
     try:
         metadata = Metadata.loads(text)
-        trajectory = make_trajectory(metadata, [_read_rows(table, metadata.scenario)])
+        rows = _read_rows(table, metadata.scenario)
+        checksum = Checksum(text)
+        checksum.add(rows)
+        trajectory = make_trajectory(metadata, [rows])
         _check_once(trajectory.rows)
     except TrajectoryError as error:
         raise TrajectoryError(f"{path}: {error}") from None
+    if checksum.finish() != found.get(SUM_KEY):
+        raise TrajectoryError(
+            f"{path}: its checksum is wrong: it has changed since it was recorded"
+        )
     return trajectory
 
 

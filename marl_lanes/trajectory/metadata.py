@@ -8,7 +8,7 @@ from typing import Any
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.scenario.messages import shown
 
-FORMAT = 1
+FORMAT = 2
 """Number of the file's form; another number means other columns or another meaning."""
 
 

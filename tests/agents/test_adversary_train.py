@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import torch
 from omegaconf import OmegaConf
-from programs import BUSY, load_program, run_main
+from programs import BUSY, load_program, replaced, run_main
 
 from marl_lanes import Simulator, load_scenario
 from marl_lanes.envs.followers import find_policies, load_follower
-from marl_lanes.naf.checkpoint import CheckpointError, read_checkpoint
+from marl_lanes.naf.checkpoint import read_checkpoint
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
@@ -126,7 +126,9 @@ def turns(program, tmp_path_factory):
     return run_here(program, prepare(tmp_path_factory.mktemp("turns")), "rounds=2")
 
 
+INPUTS = {"config.yaml", "scenario.yaml", "initial_changer.pt", "SHA256SUMS", ".lock"}
 PHASE_FILES = {
+    ".lock",
     "metrics.csv",
     "maneuvers.csv",
     "evaluations.csv",
@@ -140,7 +142,7 @@ PHASE_FILES = {
 
 def test_a_followers_run_folder_is_complete(single):
     run, _ = single
-    assert names(run) == {*PHASE_FILES, "config.yaml", "evaluation.json"}
+    assert names(run) == {*PHASE_FILES, *INPUTS, "evaluation.json"}
     recorded = read_trajectory(run / "trajectories" / "final.parquet")
     # The changer drives among followers that learn.
     assert recorded.metadata.policy == "changer.pt"
@@ -185,7 +187,7 @@ def test_the_follower_has_learned_and_drives(single, monkeypatch):
 
 def test_turns_give_a_pool_a_hardened_changer_and_a_report(turns):
     run, out = turns
-    assert names(run) == {"config.yaml", "round_1", "round_2", "pool", "changer.pt", "report.json"}
+    assert names(run) == {*INPUTS, "round_1", "round_2", "pool", "changer.pt", "report.json"}
     for number in (1, 2):
         assert names(run / f"round_{number}") == {"follower", "changer"}
         assert names(run / f"round_{number}" / "follower") == PHASE_FILES
@@ -274,6 +276,10 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, turns, tmp_pa
     assert "resume=run" in out
     assert not (run / "round_2").exists()
     stamp = (run / "round_1" / "follower" / "resume.pt").stat().st_mtime_ns
+    # It goes on from its folder alone; what a phase left that was killed at its beginning is gone.
+    (tmp_path / "busy.yaml").unlink()
+    save_checkpoint(tmp_path / "changer.pt", make_network(PAPER, "damped", [8]), "busy", 0)
+    (run / "round_2" / "follower" / "checkpoints").mkdir(parents=True)
     with contextlib.chdir(tmp_path):
         program.main(["resume=run"])
     assert (run / "round_1" / "follower" / "resume.pt").stat().st_mtime_ns == stamp
@@ -299,7 +305,7 @@ def test_an_existing_run_is_refused(program, single, monkeypatch):
 
 def given(program, *options):
     """The configuration of the tiny budget and the options."""
-    return program.read([*TINY, *options])
+    return program.read(replaced([*TINY, *options]))
 
 
 def test_the_defaults_are_complete_and_in_range(program):
@@ -326,8 +332,8 @@ def test_the_defaults_are_complete_and_in_range(program):
         (["+training_overrides.road.lanes=3"], "road.lanes: unknown key"),
         (["training_overrides.command.probability=0"], "command.probability = 0: must be above"),
         (["scenario=nope"], "scenario 'nope': no such scenario"),
-        (["resume=absent"], "resume = 'absent': must be a run folder"),
-        (["changer=gone.pt"], "gone.pt: cannot be read"),
+        (["resume=absent"], "resume = 'absent': must be alone"),
+        (["changer=gone.pt"], "changer = 'gone.pt': .*gone.pt: cannot be read"),
     ],
 )
 def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
@@ -359,14 +365,15 @@ def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, o
 def test_a_changer_that_does_not_fit_is_refused(program, tmp_path, monkeypatch, network, message):
     monkeypatch.chdir(prepare(tmp_path))
     save_checkpoint(tmp_path / "other.pt", network, "other", 0)
-    with pytest.raises(CheckpointError, match=r"other\.pt: " + message):
+    with pytest.raises(ConfigError, match=r"^changer = 'other\.pt': .*other\.pt: " + message):
         program.Run(given(program, "changer=other.pt"))
 
 
-def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch):
+def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(prepare(tmp_path))
     with pytest.raises(SystemExit) as caught:
         program.main([*TINY, "objective=hostile"])
     message = "error: objective = 'hostile': must be 'adversarial' or 'cooperative'"
-    assert caught.value.code == message
+    assert caught.value.code == 2
+    assert capsys.readouterr() == ("", f"{message}\n")
     assert names(tmp_path) == {"busy.yaml", "changer.pt"}

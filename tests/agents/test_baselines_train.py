@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from programs import BUSY, load_program, run_main
+from programs import BUSY, load_program, replaced, run_main
 
 from marl_lanes import load_scenario
 from marl_lanes.cli.main import main as command
@@ -129,15 +129,19 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_pa
         ("loss.distance=l3", "loss.distance = 'l3': must be 'l1', 'l2' or 'smooth_l1'"),
         ("scenario=nope", "scenario 'nope': no such scenario"),
         ("num_workers=2", "num_workers = 2: must be 1 with collector=single"),
-        ("resume=absent", "resume = 'absent': must be a run folder"),
+        ("resume=absent", "resume = 'absent': must be alone"),
     ],
 )
-def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch, option, message):
+def test_a_bad_value_is_one_error_and_no_folder(
+    program, tmp_path, monkeypatch, capsys, option, message
+):
     monkeypatch.chdir(prepare(tmp_path))
     with pytest.raises(SystemExit) as caught:
-        program.main([*TINY, option])
-    assert str(caught.value.code).startswith(f"error: {message}")
-    assert len(str(caught.value.code).splitlines()) == 1
+        program.main(replaced([*TINY, option]))
+    assert caught.value.code == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"error: {message}")
+    assert len(err.splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 

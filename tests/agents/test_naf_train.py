@@ -4,8 +4,8 @@ import csv
 import json
 import re
 import shlex
+import shutil
 import signal
-import time
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from films import read_pictures
+from kills import fill_disk, interrupt, kill, kill_within, run_until
 from naf_program import (
     PROGRAM,
     TINY,
@@ -21,11 +22,10 @@ from naf_program import (
     assert_same_weights,
     prepare,
     run_program,
-    start,
     weights,
 )
 from omegaconf import OmegaConf
-from programs import BUSY, load_program, run_main
+from programs import BUSY, load_program, replaced, run_main
 
 from marl_lanes import ScenarioError, experiment, load_scenario
 from marl_lanes.evaluation.metrics import summarise
@@ -40,6 +40,7 @@ from marl_lanes.training.checkpoint import (
     save_checkpoint,
 )
 from marl_lanes.training.config import write_config
+from marl_lanes.training.resume import read_state
 from marl_lanes.trajectory.events import find_commands
 from marl_lanes.trajectory.file import read_trajectory
 
@@ -79,7 +80,10 @@ def test_the_run_folder_is_complete(whole):
     run, _ = whole
     names = {path.name for path in run.iterdir()}
     assert names == {
+        ".lock",
         "config.yaml",
+        "scenario.yaml",
+        "SHA256SUMS",
         "metrics.csv",
         "maneuvers.csv",
         "evaluations.csv",
@@ -113,13 +117,10 @@ def test_a_road_of_every_saved_model_is_recorded(whole):
         assert trajectory.metadata.policy == f"checkpoints/{checkpoint.name}"
         assert (trajectory.scenario.name, trajectory.metadata.seed) == ("busy", 1_000_001)
         assert trajectory.roads == [0]
-        # Its two maneuvers and the rest of the episode.
         assert len(find_commands(trajectory.rows)) == trajectory.scenario.num_agents
-        # The same road as the policy drives by itself.
         policy = greedy_policy(load_checkpoint(checkpoint, trajectory.scenario).network)
         name = trajectory.metadata.policy
         again = record_road(trajectory.scenario, policy, seed=1_000_001, name=name)
-        # The evaluation ends with the last vehicle that it observes.
         rows = again.rows[again.rows["step"] <= trajectory.rows["step"].max()]
         assert rows.tobytes() == trajectory.rows.tobytes()
     recorded = {path.stem for path in (run / "trajectories").iterdir()}
@@ -233,34 +234,93 @@ def test_mu_is_frozen_in_stage_one_alone(whole):
     assert any(not torch.equal(before[key], after[key]) for key in before if key.startswith("mu."))
 
 
-def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_path):
+SAME = (
+    "*.csv",
+    "checkpoints/*",
+    "trajectories/*",
+    "evaluation.json",
+    "scenario.yaml",
+    "SHA256SUMS",
+    "command.txt",
+)
+"""The files of a run folder in which no seconds are."""
+
+
+def contents(run):
+    return {
+        str(path.relative_to(run)): path.read_bytes() for name in SAME for path in run.glob(name)
+    }
+
+
+def test_a_run_that_is_stopped_goes_on_as_if_it_had_not_been(program, whole, tmp_path):
+    """By Ctrl-C, a kill, and a kill within a write; then from its folder alone."""
     reference, _ = whole
-    process = start(*TINY, "output=run", folder=prepare(tmp_path))
-    run = tmp_path / "run"
-    deadline = time.monotonic() + 150
-    while time.monotonic() < deadline and process.poll() is None:
-        path = run / "metrics.csv"
-        if path.exists() and len(path.read_bytes().splitlines()) > 3:
-            break
-        time.sleep(0.002)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=300)
-    assert process.returncode == 0, err[-3000:]
-    assert "Traceback" not in err
-    assert f"resume={run.name}" in out
+    run = prepare(tmp_path) / "run"
+    options = [*TINY, "output=run"]
+    status, printed = run_until(program, tmp_path, options, 17, interrupt)
+    assert (status, "Traceback" in printed) == (0, False), printed
+    assert "interrupted; continue with resume=run" in printed
     assert not (run / "checkpoints" / "final.pt").exists()
-    assert (run / "resume.pt").exists()
-    total = len(rows(reference / "metrics.csv"))
-    assert 3 <= len(rows(run / "metrics.csv")) < total
+    assert 3 <= len(rows(run / "metrics.csv")) < len(rows(reference / "metrics.csv"))
+    (tmp_path / "busy.yaml").write_text("num_agents: 1\n", encoding="utf-8")
+    status, printed = run_until(program, tmp_path, ["resume=run"], 7, kill_within(20_000))
+    assert status == -signal.SIGXFSZ, printed
+    status, printed = run_until(program, tmp_path, ["resume=run"], 9, kill)
+    assert status == -signal.SIGKILL, printed
+    (tmp_path / "busy.yaml").unlink()
     run_main(program, tmp_path, "resume=run")
-    assert_same_weights(weights(reference), weights(run))
-    recorded = {f"trajectories/{path.name}" for path in (reference / "trajectories").iterdir()}
-    assert len(recorded) >= 3
-    tables = ("metrics.csv", "maneuvers.csv", "evaluations.csv", "final_maneuvers.csv")
+    assert_same_files(run, reference)
     drawn = ("figures/loss.svg", "figures/saved_models.png")
-    for name in (*tables, *drawn, "evaluation.json", "command.txt", *recorded):
+    for name in drawn:
         assert (run / name).read_bytes() == (reference / name).read_bytes(), name
     assert {path.name for path in (run / "figures").iterdir()} == FIGURES
+
+
+@pytest.mark.long
+def test_a_run_that_is_killed_often_goes_on_as_if_it_had_not_been(program, whole, tmp_path):
+    """At random writes, every second time within one."""
+    reference, _ = whole
+    run = prepare(tmp_path) / "run"
+    generator = np.random.default_rng(0)
+    for index in range(20):
+        is_begun = (run / "resume.pt").exists()
+        if not is_begun and run.exists():
+            with pytest.raises(SystemExit):
+                run_main(program, tmp_path, "resume=run")
+            shutil.rmtree(run)
+        options = ["resume=run"] if is_begun else [*TINY, "output=run"]
+        act = kill_within(int(generator.integers(3000, 70_000))) if index % 2 else kill
+        place = generator.integers(1, 20 if is_begun else 40)
+        status, printed = run_until(program, tmp_path, options, place, act)
+        # ffmpeg may be what the limit ends.
+        assert status in {-signal.SIGKILL, -signal.SIGXFSZ} or "FilmError" in printed, printed
+    assert (run / "resume.pt").exists()
+    run_main(program, tmp_path, "resume=run")
+    assert_same_files(run, reference)
+
+
+@pytest.mark.parametrize("place", [2, 9, 13, 16, 30])
+def test_a_full_disk_is_one_line_and_the_last_state_stays(program, tmp_path, place):
+    run = prepare(tmp_path) / "run"
+    options = [*TINY, UNRECORDED, "output=run"]
+    status, printed = run_until(program, tmp_path, options, place, fill_disk(0))
+    assert status in {1, 2}, printed[-3000:]
+    (line,) = [line for line in printed.splitlines() if "error:" in line]
+    assert "File too large" in line
+    assert "Traceback" not in printed
+    if place <= 13:
+        assert not run.exists()
+    else:
+        read_state(run / "resume.pt")
+        assert "resume=run" in line
+
+
+def assert_same_files(run, reference):
+    """Assert that all is equal in which there are no seconds, and nothing is left over."""
+    found, wanted = contents(run), contents(reference)
+    assert found.keys() == wanted.keys()
+    assert [name for name in found if found[name] != wanted[name]] == []
+    assert [path.name for path in run.rglob(".*")] == [".lock"]
 
 
 def test_the_papers_recipe(program, whole, tmp_path):
@@ -275,33 +335,36 @@ def test_the_papers_recipe(program, whole, tmp_path):
     assert any(not torch.equal(other[key], value) for key, value in one.items())
 
 
-def test_an_existing_run_is_refused(program, whole):
+def test_an_existing_run_is_refused(program, whole, monkeypatch, capsys):
     run, _ = whole
+    monkeypatch.chdir(run.parent)
     before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
     with pytest.raises(SystemExit) as caught:
-        run_main(program, run.parent, *TINY, "output=run")
-    assert caught.value.code.startswith("error: output = 'run': must be a new or empty folder")
+        program.main([*TINY, "output=run"])
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.startswith("error: output = 'run': must be a new or empty ")
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
 
 
 def test_an_unknown_key_is_one_error_and_no_folder(tmp_path):
     option = "optimizer.lerning_rate=1"
     code, out, err = run_program(*TINY, option, "output=run", folder=prepare(tmp_path))
-    assert code != 0
-    assert "lerning_rate" in err
-    assert "Traceback" not in err
+    assert code == 2
+    assert err.startswith("error: optimizer.lerning_rate: unknown key; did you mean learning_rate?")
     assert out == ""
-    assert len(err.strip().splitlines()) <= 8
+    assert len(err.splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
-def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, capsys):
+def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(prepare(tmp_path))
     with pytest.raises(SystemExit) as caught:
-        run_main(program, prepare(tmp_path), *TINY, "network.mu=foo", "output=run")
-    assert caught.value.code.startswith("error: ")
-    assert "foo" in caught.value.code
-    assert len(caught.value.code.splitlines()) == 1
-    assert capsys.readouterr() == ("", "")
+        program.main([*TINY, "network.mu=foo", "output=run"])
+    assert caught.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: network.mu = 'foo': ")
+    assert len(err.splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
@@ -312,7 +375,7 @@ def begin(program, config):
 
 def read(program, *options):
     """What the program makes of the tiny budget and the options."""
-    return program.read([*TINY, "output=run", *options])
+    return program.read(replaced([*TINY, "output=run", *options]))
 
 
 @pytest.mark.parametrize(
@@ -322,7 +385,6 @@ def read(program, *options):
         (["seed=-1"], "seed = -1: must be greater than or equal to 0"),
         (["+training_overrides.road.lanes=3"], "road.lanes: unknown key"),
         (["network.mu=foo"], "foo"),
-        (["resume=absent"], "resume = 'absent'"),
     ],
 )
 def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
@@ -338,9 +400,50 @@ def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
     config = read(program, "collector=ray", "num_workers=2", "ray.address=10.0.0.1:1")
     assert config.ray.address == "10.0.0.1:1"
     write_config(tmp_path / "run" / "config.yaml", config)
-    again = read(program, "resume=run", "ray.address=10.0.0.2:2", "num_workers=7")
+    again = program.read(["resume=run", "ray.address=10.0.0.2:2"])
     assert (again.ray.address, again.num_workers) == ("10.0.0.2:2", 2)
-    assert read(program, "resume=run").ray.address == "10.0.0.1:1"
+    assert program.read(["resume=run"]).ray.address == "10.0.0.1:1"
+
+
+def foreign_state(path):
+    content = torch.load(path, weights_only=True)
+    content["loss"] = {name: value for name, value in content["loss"].items() if "mu" not in name}
+    torch.save(content, path)
+
+
+@collector_warnings
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("config.yaml", lambda path: replace(path, "seed: 0", "seed: 1"), "config.yaml must be as"),
+        ("config.yaml", lambda path: path.write_bytes(b"{"), "its config.yaml"),
+        ("config.yaml", lambda path: path.write_bytes(b"\xff"), "its config.yaml"),
+        ("config.yaml", Path.unlink, "must be a run folder; it has no config.yaml"),
+        ("scenario.yaml", lambda path: replace(path, "400.0", "401.0"), "scenario.yaml must be as"),
+        ("scenario.yaml", Path.unlink, "must be a run folder; it has no scenario.yaml"),
+        ("SHA256SUMS", Path.unlink, "its SHA256SUMS is damaged or gone"),
+        ("resume.pt", Path.unlink, "resume.pt: there is none: the run was ended before it began"),
+        ("resume.pt", lambda path: path.write_bytes(b"PK"), "resume.pt: not a training state"),
+        ("resume.pt", foreign_state, "resume.pt: does not fit this run: weights: "),
+        ("metrics.csv", lambda path: replace(path, "\n", ",\n"), "metrics.csv: must begin with"),
+        ("evaluations.csv", Path.unlink, "evaluations.csv: must begin with the rows of the run"),
+        (".lock", lambda path: (path.unlink(), path.mkdir()), "Is a directory"),
+    ],
+)
+def test_a_run_that_is_broken_is_refused_in_a_line(
+    program, whole, tmp_path, monkeypatch, name, change, message
+):
+    run, _ = whole
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(run, "run", ignore=shutil.ignore_patterns("figures", "tensorboard"))
+    change(tmp_path / "run" / name)
+    with pytest.raises((ValueError, OSError), match=message) as caught:
+        begin(program, program.read(["resume=run"]))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def replace(path, old, new):
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
 
 
 @collector_warnings
@@ -408,7 +511,7 @@ def test_a_scenario_with_two_actions_has_its_recipe(program, tmp_path, monkeypat
         ["recipe=fast", "scenario=interactive"],
     ):
         assert program.read(named).recipe == "fast"
-    for named, scenario in (("scenario=absent", "absent"), ("scenario=3", "3"), ("~scenario", "")):
+    for named, scenario in (("scenario=absent", "absent"), ("scenario=3", "3")):
         with pytest.raises(ScenarioError, match=f"scenario '{scenario}.*': no such scenario"):
             program.read([named])
 

@@ -1,5 +1,6 @@
 """The newest saved model of a run."""
 
+import json
 import os
 import shutil
 
@@ -21,7 +22,8 @@ def run(tmp_path):
     """The folder of a run that has not saved a model yet."""
     folder = tmp_path / "run"
     (folder / "checkpoints").mkdir(parents=True)
-    (folder / "config.yaml").write_text("scenario: paper\nseed: 3\n", encoding="utf-8")
+    fields = json.dumps(PAPER.model_dump(mode="json"))
+    (folder / "scenario.yaml").write_text(fields, encoding="utf-8")
     return folder
 
 
@@ -185,18 +187,17 @@ def test_a_model_of_another_scenario_is_passed_over(run, saving, warnings):
 
 
 @pytest.mark.parametrize(
-    ("config", "error", "message"),
+    ("text", "error", "message"),
     [
-        (None, ConfigError, "has no config.yaml"),
-        ("a: [", ConfigError, "not readable as YAML"),
-        ("[1, 2]", ConfigError, "must be a mapping of fields"),
-        ("scenario: 3", ConfigError, "scenario = 3: must be a name"),
-        ("scenario: nowhere", ScenarioError, "run .*: scenario 'nowhere': no such scenario"),
+        (None, ConfigError, "has no scenario.yaml"),
+        ("a: [", ScenarioError, "not readable as YAML"),
+        ("[1, 2]", ScenarioError, "must be a mapping of fields"),
+        ("num_agents: x", ScenarioError, "scenario.yaml: num_agents = 'x': "),
     ],
 )
-def test_a_folder_that_is_none_of_a_run_is_refused(tmp_path, config, error, message):
-    if config is not None:
-        (tmp_path / "config.yaml").write_text(config, encoding="utf-8")
+def test_a_folder_that_is_none_of_a_run_is_refused(tmp_path, text, error, message):
+    if text is not None:
+        (tmp_path / "scenario.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(error, match=message):
         RunModels(tmp_path, None, warn=print)
 

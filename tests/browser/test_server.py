@@ -99,6 +99,68 @@ def test_other_sites_cannot_take_the_stream(server, site):
     assert server.request("/stream", Sec_Fetch_Site=site)[0] == 403
 
 
+def test_a_foreign_origin_cannot_take_the_stream(server):
+    own = f"http://127.0.0.1:{server.port}"
+    assert server.request("/stream", method="HEAD", Origin=own)[0] == 200
+    for origin in ("http://evil.example", "null", "https" + own[4:], own + "0", f"{own}@evil"):
+        assert server.request("/stream", Origin=origin)[0] == 403
+
+
+HOST_LINE = b"Host: localhost\r\n"
+HOSTILE = [
+    b"\x00\xff\x16\x03\x01 hello\r\n\r\n",
+    b"GET / HTTP/1.1\r\n\r\n",
+    b"GET / HTTP/1.0\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: evil.example\r\nHost: localhost\r\n\r\n",
+    b"GET / HTTP/1.1\r\nHost: localhost@evil.example\r\n\r\n",
+    b"GET http://evil.example/ HTTP/1.1\r\nHost: evil.example\r\n\r\n",
+    b"GET / HTTP/1.1\r\n" + HOST_LINE + b"X: " + b"x" * 200_000 + b"\r\n\r\n",
+    b"GET /" + b"x" * 200_000 + b" HTTP/1.1\r\n" + HOST_LINE + b"\r\n",
+    b"GET /page/%2e%2e/server.py HTTP/1.1\r\n" + HOST_LINE + b"\r\n",
+    b"GET /page/..%5cserver.py HTTP/1.1\r\n" + HOST_LINE + b"\r\n",
+    b"GET /page/%00 HTTP/1.1\r\n" + HOST_LINE + b"\r\n",
+    b"GET /page/" + b"%2e%2e%2f" * 12 + b"etc/passwd HTTP/1.1\r\n" + HOST_LINE + b"\r\n",
+    b"GET /../../../../etc/passwd HTTP/1.1\r\n" + HOST_LINE + b"\r\n",
+    b"GET /page/ HTTP/1.1\r\n" + HOST_LINE + b"\r\n",
+    b"POST /stream HTTP/1.1\r\n" + HOST_LINE + b"Content-Length: 99999999999\r\n\r\nx",
+    b"POST / HTTP/1.1\r\n" + HOST_LINE + b"Transfer-Encoding: chunked\r\n\r\nffffffff\r\nx",
+    b"POST / HTTP/1.1\r\n" + HOST_LINE + b"Content-Length: 3\r\nContent-Length: 4\r\n\r\nabcd",
+    b"DELETE /page/live.js HTTP/1.1\r\n" + HOST_LINE + b"\r\n",
+    b"CONNECT evil.example:80 HTTP/1.1\r\nHost: evil.example:80\r\n\r\n",
+    b"OPTIONS /stream HTTP/1.1\r\n" + HOST_LINE + b"Origin: http://evil.example\r\n\r\n",
+]
+
+
+@pytest.mark.parametrize("request_bytes", HOSTILE, ids=lambda one: repr(one[:40]))
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_hostile_request_gets_no_more_than_an_error(server, request_bytes):
+    with socket.create_connection((HOST, server.port), TIMEOUT) as connection:
+        connection.sendall(request_bytes)
+        answer = connection.recv(65536)
+    status = int(answer.split(b" ", 2)[1])
+    assert 400 <= status < 500
+    assert b"root:" not in answer
+    assert b"import " not in answer
+    assert b"Access-Control-Allow" not in answer
+    assert server.request("/page/clock.js")[0] == 200
+
+
+def test_a_web_socket_is_not_opened(server):
+    headers = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec_WebSocket_Version": "13"}
+    assert server.request("/", Sec_WebSocket_Key="AAAAAAAAAAAAAAAAAAAAAA==", **headers)[0] == 200
+    assert server.request("/nothing", **headers)[0] == 404
+
+
+def test_many_idle_connections_leave_room(server):
+    """Connections that never ask for anything hold up nobody."""
+    with ExitStack() as stack:
+        for _ in range(100):
+            idle = socket.create_connection((HOST, server.port), TIMEOUT)
+            stack.enter_context(idle).sendall(b"GET / HT")
+        assert server.request("/page/clock.js")[0] == 200
+
+
 def test_two_viewers_see_the_same_simulation(server):
     with server.watch() as one, server.watch() as other:
         first, second = (list(itertools.islice(events, 8)) for events in (one, other))

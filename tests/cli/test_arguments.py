@@ -1,15 +1,13 @@
-"""What commands share: modules of the user, outputs that cannot be written."""
+"""What commands share: modules of the user."""
 
 import json
 import re
 import sys
-from pathlib import Path
 
 import pytest
-from cli.commands import CROSSPLAY, FOLLOWERS
+from cli.commands import CROSSPLAY
 
-from marl_lanes.cli import arguments
-from marl_lanes.cli.arguments import check_outputs, check_trajectories, import_modules
+from marl_lanes.cli.arguments import import_modules
 from marl_lanes.cli.main import main
 
 
@@ -40,7 +38,7 @@ def test_a_module_of_ones_own_registers_followers(capsys, folder):
     ("name", "message"),
     [
         ("absent", "--import absent: No module named 'absent'"),
-        ("../x", "--import ../x: must be the dotted name of a module"),
+        ("../x", "--import '../x': must be the dotted name of a module"),
     ],
 )
 def test_another_module_is_refused(name, message):
@@ -51,34 +49,18 @@ def test_another_module_is_refused(name, message):
     assert sys.path == before
 
 
-def test_outputs_that_cannot_be_written_are_refused(tmp_path):
-    check_outputs(None)
-    check_outputs(tmp_path / "new" / "x.json", [tmp_path / "new" / "x.png", tmp_path / "x.svg"])
-    assert list(tmp_path.iterdir()) == []
-    with pytest.raises(ValueError, match=r"^--json .*: must be a file, not a folder$"):
-        check_outputs(tmp_path)
-    for figure in (tmp_path, tmp_path / "x.xyz"):
-        with pytest.raises(ValueError, match="must be a file that ends in"):
-            check_outputs(None, [tmp_path / "x.png", figure])
-
-
-def test_a_figure_needs_matplotlib(capsys, folder, monkeypatch):
-    monkeypatch.setattr(arguments, "find_spec", lambda _: None)
-    assert main([*FOLLOWERS, "--figure", str(folder / "x.png")]) == 2
-    assert "pip install 'marl-lanes[train]'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
-    ("name", "message"),
+    ("text", "message"),
     [
-        ("rows.csv", "--trajectories rows.csv: must end in .parquet"),
-        ("deep.parquet", "--trajectories deep.parquet: must be a file, not a folder"),
+        ("1 / 0\n", "ZeroDivisionError: division by zero (%s, line 1)"),
+        ("\nraise SystemExit('no')\n", "SystemExit: no (%s, line 2)"),
+        ("import missing\n", "No module named 'missing'"),
     ],
 )
-def test_a_file_of_trajectories_that_cannot_be_written(tmp_path, monkeypatch, name, message):
+def test_what_a_module_raises_is_told(tmp_path, monkeypatch, text, message):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "deep.parquet").mkdir()
-    with pytest.raises(ValueError, match=re.escape(message)):
-        check_trajectories(Path(name))
-    check_trajectories(Path("new.parquet"))
-    check_trajectories(None)
+    file = tmp_path / "raising.py"
+    file.write_text(text, encoding="utf-8")
+    wanted = f"--import raising: {message.replace('%s', str(file))}"
+    with pytest.raises(ValueError, match=f"^{re.escape(wanted)}$"):
+        import_modules(["raising"])

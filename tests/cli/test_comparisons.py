@@ -32,8 +32,8 @@ def test_an_evaluation_is_printed_and_written(capsys, tmp_path):
     ("arguments", "message"),
     [
         ([*EVALUATE, "--scenario", "papier"], "scenario 'papier': no such scenario"),
-        ([*EVALUATE[:-1], "0"], "num_maneuvers = 0: must be at least 1"),
-        ([*EVALUATE, "--seed", "-1"], "seed = -1"),
+        ([*EVALUATE[:-1], "0"], "--maneuvers: '0': must be a whole number, 1 to"),
+        ([*EVALUATE, "--seed", "-1"], "--seed: '-1': must be a whole number, 0 to"),
         (["evaluate", "absent.pt"], "checkpoint absent.pt: cannot be read"),
         (["evaluate", "."], "checkpoint ."),
         (["evaluate", "wrong.pt"], "checkpoint wrong.pt: its features"),
@@ -151,11 +151,11 @@ def test_the_gap_under_every_follower_is_printed_written_and_drawn(capsys, folde
         ([*CROSSPLAY, "b.pt", "--followers", "neutral", "--import", "../x"], "must be the dotted"),
         (
             [*CROSSPLAY[:2], "0", "--changers", "b.pt", "--followers", "neutral"],
-            "num_maneuvers = 0",
+            "--maneuvers: '0'",
         ),
         ([*FOLLOWERS, "absent.pt", "--figure", "x.png"], "checkpoint absent.pt"),
         ([*FOLLOWERS, "--figure", "x.png", "--maneuver", "12"], "maneuver = 12: must be 0 to 11"),
-        ([*FOLLOWERS, "--figure", "."], "must be a file that ends in"),
+        ([*FOLLOWERS, "--figure", "."], "--figure .: must be a file, not a folder"),
     ],
 )
 def test_bad_comparisons_are_one_line_and_nothing_is_driven(

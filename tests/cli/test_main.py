@@ -1,36 +1,19 @@
-"""The entry point: arguments that argparse refuses, the help, and what is imported."""
+"""The entry point: the help, errors that are one line, and what is imported."""
 
+import io
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
-from cli.commands import EVALUATE
+from checkpoints import save_trained
+from cli.commands import QUICK
+from report.runs import make_run
 
+from marl_lanes.cli import scenarios
 from marl_lanes.cli.main import main
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        [],
-        ["train"],
-        ["evaluate"],
-        ["evaluate", "--policy", "perfect"],
-        ["evaluate", "policy.pt", "--policy", "random"],
-        [*EVALUATE, "--maneuvers", "many"],
-        ["crossplay", "--changers", "random"],
-        ["crossplay", "--followers", "neutral"],
-        ["followers"],
-        ["followers", "--figure", "x.png", "--policy", "perfect"],
-    ],
-)
-def test_bad_arguments_end_with_2(capsys, arguments):
-    with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    assert caught.value.code == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "usage: marl-lanes" in captured.err
+from marl_lanes.extras import MissingExtraError
 
 
 @pytest.mark.parametrize("command", ["evaluate", "crossplay", "followers"])
@@ -57,3 +40,107 @@ def test_commands_that_do_not_drive_import_nothing_heavy(arguments):
     command = [sys.executable, "-W", "error", "-c", text]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout.splitlines()[-1] == "heavy:"
+
+
+def raise_error(error):
+    def load(_):
+        raise error
+
+    return load
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (MemoryError(), 2, "error: there is not enough memory for this"),
+        (ValueError("one\n  two\x1b[2J\udcff"), 2, r"error: one two\x1b[2J\udcff"),
+        (OSError(28, "No space left on device"), 2, "error: [Errno 28] No space left on device"),
+        (MissingExtraError("x: is not installed"), 2, "error: x: is not installed"),
+        (ValueError("x" * 5000), 2, f"error: {'x' * 493} ... {'x' * 500}"),
+    ],
+)
+def test_an_error_is_one_line(capsys, monkeypatch, error, status, line):
+    monkeypatch.setattr(scenarios, "load_scenario", raise_error(error))
+    assert main(["scenarios", "paper"]) == status
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", f"{line}\n")
+
+
+def test_a_bug_is_no_bad_input(monkeypatch):
+    monkeypatch.setattr(scenarios, "load_scenario", raise_error(TypeError("a bug")))
+    with pytest.raises(TypeError, match="a bug"):
+        main(["scenarios", "paper"])
+
+
+def ascii_stream(_):
+    return io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+
+
+def left_stream(_):
+    reader, writer = os.pipe()
+    os.close(reader)
+    return os.fdopen(writer, "w", encoding="utf-8")
+
+
+def full_stream(_):
+    return Path("/dev/full").open("w", encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def named(tmp_path_factory):
+    """Files whose names the terminal's encoding lacks, and a finished run."""
+    folder = tmp_path_factory.mktemp("named")
+    save_trained(folder / "räum.pt")
+    save_trained(folder / "\udcff.pt")
+    (folder / "schnell_é.yaml").write_text(QUICK, encoding="utf-8")
+    rows = ["--seconds", "1", "--out", str(folder / "straße.parquet")]
+    assert main(["record", "lane-keeping", *rows]) == 0
+    make_run(folder / "läufe")
+    return folder
+
+
+COMMANDS = [
+    ("scenarios", ""),
+    ("scenarios schnell_é.yaml", ""),
+    ("evaluate räum.pt --maneuvers 2 --json ü.json", "ü.json"),
+    ("evaluate \udcff.pt --maneuvers 2 --json \udcfe.json", "\udcfe.json"),
+    (
+        "crossplay --changers räum.pt \udcff.pt --followers neutral --maneuvers 2 --figure ö.svg",
+        "ö.svg",
+    ),
+    (
+        "followers \udcff.pt --maneuvers 12 --scenario schnell_é.yaml --json ä.json --figure ä.svg",
+        "ä.json ä.svg",
+    ),
+    ("record \udcff.pt --seconds 1 --out ß.csv --out \udcfd.png", "ß.csv \udcfd.png"),
+    ("replay straße.parquet --out ø.html", "ø.html"),
+    ("report läufe", "läufe/report.html"),
+    ("doctor --json é.json", "é.json"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "written", "make_stream"),
+    [
+        *((*command, ascii_stream) for command in COMMANDS),
+        *((*command, left_stream) for command in (COMMANDS[0], COMMANDS[2], COMMANDS[-1])),
+        *((*command, full_stream) for command in (COMMANDS[0], COMMANDS[2], COMMANDS[-1])),
+    ],
+)
+def test_results_are_written_whatever_the_terminal_is(
+    capsys, monkeypatch, named, arguments, written, make_stream
+):
+    monkeypatch.chdir(named)
+    for name in written.split():
+        (named / name).unlink(missing_ok=True)
+    with make_stream(named) as stream:
+        monkeypatch.setattr(sys, "stdout", stream)
+        status = main(arguments.split())
+    err = capsys.readouterr().err
+    if make_stream is full_stream:
+        assert (status, err) == (2, "error: standard output: No space left on device\n")
+    else:
+        assert (status, err) == (0, "")
+    assert all((named / name).stat().st_size > 0 for name in written.split())

@@ -27,6 +27,10 @@ def test_every_changer_has_a_name_of_its_own(entries, labels):
     assert list(found) == labels
 
 
+def test_a_name_that_is_no_text_can_be_drawn():
+    assert list(label_changers(["\udcff.pt", "r\xe4um.pt"])) == ["\\udcff", "r\xe4um"]
+
+
 def test_a_changer_may_name_its_scenario():
     found = label_changers(["random", "a/b.pt@my/weak.yaml"])
     assert found == {"random": ("random", None), "b@weak": ("a/b.pt", "my/weak.yaml")}

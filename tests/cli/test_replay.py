@@ -81,10 +81,3 @@ def test_what_is_no_trajectory_is_refused(capsys, tmp_path, recorded):
     empty = tmp_path / "empty.parquet"
     write_trajectory(empty, Trajectory(recorded.metadata, new_rows(0)))
     assert_refused(capsys, tmp_path, ["replay", str(empty), *out], "empty.parquet: has no rows")
-
-
-def test_the_file_is_needed(capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["replay", "x.parquet"])
-    assert caught.value.code == 2
-    assert "--out" in capsys.readouterr().err

@@ -3,13 +3,14 @@
 import pytest
 from cli.commands import QUICK
 
+from marl_lanes import load_scenario
 from marl_lanes.cli import tracks as module
 from marl_lanes.cli.tracks import Track, make_tracks
 from marl_lanes.trajectory.columns import new_rows
 from marl_lanes.trajectory.file import make_trajectory, write_trajectory
 from marl_lanes.trajectory.metadata import Metadata
 
-DEFAULTS = {"scenario": None, "seed": None, "road": None, "last_time": None}
+DEFAULTS = {"scenario": None, "seed": None, "road": None, "maneuver": None, "last_time": None}
 
 
 @pytest.fixture
@@ -96,7 +97,7 @@ def test_a_trajectory_without_rows_is_refused(tmp_path):
         (["random"], {"scenario": "nope"}, "scenario 'nope': no such scenario"),
         (["random"], {"followers": ["nope"]}, "nope"),
         (["random"], {"followers": ["neutral", "neutral"]}, "must be given once"),
-        (["random"], {"road": -1}, "--road -1: must be at least 0"),
+        (["random"], {"maneuver": 10}, "--maneuver 10: must be 0 to 9"),
         (["random", "random"], {}, "POLICY random: must be given once"),
         (["@dense"], {}, "POLICY @dense: must be CHANGER or CHANGER@SCENARIO"),
     ],
@@ -110,3 +111,14 @@ def test_what_does_not_fit_is_refused_before_anything_is_driven(driven, policies
 def test_a_label_is_a_part_of_a_files_name():
     track = Track("runs/a@dense, learned:b followers", recording, 0)
     assert track.file_label == "runs_a@dense_learned_b_followers"
+
+
+@pytest.mark.usefixtures("driven")
+def test_files_of_two_policies_never_have_one_name(tmp_path):
+    names = ["x/a.parquet", "a.parquet", "x_a.parquet"]
+    (tmp_path / "x").mkdir()
+    for name in names:
+        write_trajectory(tmp_path / name, recording(load_scenario("paper"), "random", 0, 0))
+    with pytest.raises(ValueError, match=r"^x_a: its files would have the names of those of x/a$"):
+        make(names)
+    assert len(make(names[:2])) == 2

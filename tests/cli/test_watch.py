@@ -64,11 +64,9 @@ def watching(*arguments, **environment):
 @pytest.fixture
 def run(tmp_path):
     """The folder of a run that has not saved a model yet, with quick episodes."""
-    scenario = tmp_path / "quick.yaml"
-    scenario.write_text(QUICK, encoding="utf-8")
     folder = tmp_path / "run"
     (folder / "checkpoints").mkdir(parents=True)
-    (folder / "config.yaml").write_text(f"scenario: {scenario}\n", encoding="utf-8")
+    (folder / "scenario.yaml").write_text(QUICK, encoding="utf-8")
     return folder
 
 
@@ -159,11 +157,11 @@ def test_a_port_in_use_is_refused(capsys, tmp_path):
     ("arguments", "message"),
     [
         (["nowhere"], "nowhere: must be a run folder, a checkpoint, or one of tuned-cascade"),
-        (["."], "must be a run folder; it has no config.yaml"),
+        (["."], "must be a run folder; it has no scenario.yaml"),
         (["broken.pt"], "broken.pt"),
-        (["tuned-cascade", "--port", "70000"], "--port 70000: must be 0 to 65535"),
-        (["tuned-cascade", "--speed", "0"], "speed = 0.0: must be 0.1 to 20"),
-        (["tuned-cascade", "--seed", "-1"], "seed = -1: must be"),
+        (["tuned-cascade", "--port", "70000"], "--port: '70000': must be a whole number, 0 to"),
+        (["tuned-cascade", "--speed", "0"], "--speed: '0': must be a number, 0.1 to 20"),
+        (["tuned-cascade", "--seed", "-1"], "--seed: '-1': must be a whole number, 0 to"),
         (["tuned-cascade", "--scenario", "nowhere"], "scenario 'nowhere': no such scenario"),
         (["tuned-cascade", "--import", "no_such_module"], "--import no_such_module"),
     ],

@@ -2,14 +2,18 @@
 
 import copy
 import pickle
+from types import SimpleNamespace
 
+import psutil
 import pytest
 import torch
+from forking import exit_code_of_child
 from tensordict import TensorDict, assert_close
 from tensordict.nn import TensorDictModule
 from torchrl.envs.utils import check_env_specs
 
-from marl_lanes import LaneChangeEnv, ScenarioError
+from marl_lanes import LaneChangeEnv, ScenarioError, parallel_env
+from marl_lanes.envs import batched
 from marl_lanes.traffic.machine.state import Outcome
 
 torch.set_num_threads(1)
@@ -396,3 +400,88 @@ def test_the_device_may_be_left_open():
     env = LaneChangeEnv("paper", 1, device=None, seed=0)
     assert env.rollout(2).device is None
     assert LaneChangeEnv("paper", 1, device="cpu", seed=0).rollout(2).device == torch.device("cpu")
+
+
+@pytest.mark.parametrize("learned_followers", [False, True])
+@pytest.mark.parametrize(
+    ("dtype", "device"),
+    [(torch.float64, "cpu"), (torch.bfloat16, "cpu"), (torch.float32, "meta")],
+)
+def test_torchs_defaults_change_nothing(dtype, device, learned_followers):
+    def rollout():
+        env = LaneChangeEnv("paper", 2, seed=1, overrides=BUSY, learned_followers=learned_followers)
+        check_env_specs(env)
+        env.set_seed(1)
+        return roll(env, 60, hold) if not learned_followers else env.rollout(3)
+
+    expected = rollout()
+    torch.set_default_dtype(dtype)
+    torch.set_default_device(device)
+    try:
+        found = rollout()
+    finally:
+        torch.set_default_dtype(torch.float32)
+        torch.set_default_device(None)
+    leaves = {key: leaf.dtype for key, leaf in expected.items(True, True)}
+    assert {key: leaf.dtype for key, leaf in found.items(True, True)} == leaves
+    assert found.device == torch.device("cpu")
+    if not learned_followers:
+        assert_equal(found, expected)
+
+
+def test_more_roads_than_memory_are_refused_before_anything_is_made(monkeypatch):
+    needed = 1000 * batched._bytes_of_road(LaneChangeEnv("paper", 1).scenario, False)
+    made = []
+    allocate = batched.Simulator
+    monkeypatch.setattr(batched, "Simulator", lambda *_, **__: made.append(1) or allocate)
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=needed - 1))
+    with pytest.raises(ValueError, match=r"^num_envs = 1000: needs about .* at most 999 here$"):
+        LaneChangeEnv("paper", 1000)
+    assert not made
+
+
+def test_the_estimate_of_memory_is_what_is_used():
+    env = LaneChangeEnv("interactive", 64, seed=0, learned_followers=True)
+    state = sum(array.nbytes for array in env.simulator.state.arrays)
+    state += env.simulator.actions.nbytes + env.simulator.follower_actions.nbytes
+    assert state == 64 * env.simulator.bytes_per_environment
+    bounds = sum(
+        env.full_observation_spec[group, "observation"].space.low.nbytes * 2
+        + env.full_action_spec[group, "action"].space.low.nbytes * 2
+        for group in env.group_map
+    )
+    used = state + bounds + env.rollout(1).bytes()
+    estimate = 64 * batched._bytes_of_road(env.scenario, True)
+    assert used <= estimate < 1.2 * used
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_it_works_in_a_forked_process():
+    """With so many roads torch would use its threads, which are gone there."""
+    env = LaneChangeEnv("paper", 2048, seed=0, num_threads=2, overrides={"warmup": [1.0, 1.0]})
+    torch.set_num_threads(2)
+    try:
+        env.rollout(2)
+        assert exit_code_of_child(lambda: env.rollout(2).shape == (2048, 2)) == 0
+    finally:
+        torch.set_num_threads(1)
+
+
+def test_an_episode_without_a_command_is_driven_here_and_skipped_by_pettingzoo():
+    short = {"horizon": 20.0}
+    single = parallel_env("paper", seed=0, overrides=short)
+    roads = LaneChangeEnv("paper", 1, seed=0, overrides=short)
+    num_empty = 0
+    for _ in range(5):
+        single.reset()
+        assert single.agents
+        steps = roads.rollout(200, hold)
+        while not steps["changers", "mask"].any():
+            assert bool(steps["next", "truncated"][0, -1])
+            num_empty += 1
+            steps = roads.rollout(200, hold)
+        while single.agents:
+            single.step({agent: [0.0] for agent in single.agents})
+        same = single.simulator.roads["random_counter"] == roads.simulator.roads["random_counter"]
+        assert same.all()
+    assert num_empty > 1

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from marl_lanes import ScenarioError, env, list_scenarios, parallel_env
+from marl_lanes.envs import parallel
 from marl_lanes.traffic.machine.state import Outcome, Phase
 
 with warnings.catch_warnings():
@@ -21,6 +22,10 @@ with warnings.catch_warnings():
         performance_benchmark,
         seed_test,
     )
+
+from pettingzoo.utils import BaseParallelWrapper
+from pettingzoo.utils.conversions import aec_to_parallel
+from pettingzoo.utils.wrappers import ClipOutOfBoundsWrapper, OrderEnforcingWrapper
 
 torch.set_num_threads(1)
 
@@ -97,6 +102,11 @@ def test_it_passes_the_parallel_api_test(scenario):
 @pytest.mark.parametrize("scenario", ["paper", "dense"])
 def test_its_aec_form_passes_the_api_test(scenario):
     api_test(env(scenario, seed=0), num_cycles=1000)
+
+
+def test_it_passes_the_tests_without_a_seed():
+    parallel_api_test(parallel_env(), num_cycles=LONG)
+    api_test(env(overrides={"horizon": 40.0}), num_cycles=200)
 
 
 def test_it_passes_the_seed_tests():
@@ -381,3 +391,93 @@ def test_it_runs_in_torchrls_wrapper(scenario):
         ends = steps["next", "changer", "done"] & steps["changer", "mask"].unsqueeze(-1)
         assert ends.flatten(1).sum(0).tolist() == [1] * 3
         assert steps["changer", "mask"].any(1).all()
+
+
+SHORT = {"horizon": 20.0}
+"""Most episodes end before the first command."""
+
+
+def test_a_reset_goes_on_to_an_episode_with_an_agent():
+    first = []
+    for seed in range(20):
+        road, cycle = parallel_env(overrides=SHORT), env(overrides=SHORT)
+        observations, infos = road.reset(seed=seed)
+        assert road.agents == ["changer_0"] == list(observations) == list(infos)
+        cycle.reset(seed=seed)
+        assert cycle.agents == road.agents
+        assert cycle.observe("changer_0").tobytes() == observations["changer_0"].tobytes()
+        assert 0 <= road.simulator.roads["step"][0] < 200
+        first.append(observations["changer_0"].tobytes())
+    assert len(set(first)) == 20
+    # Without skips the stream is as it was: episodes with an agent have the same bytes as ever.
+    again = parallel_env(overrides=SHORT, seed=19)
+    assert again.reset()[0]["changer_0"].tobytes() == first[-1]
+
+
+@pytest.mark.parametrize("form", [parallel_env, env])
+def test_where_no_command_can_come_a_reset_gives_up(monkeypatch, form):
+    monkeypatch.setattr(parallel, "MAX_SKIPPED", 20)
+    road = form("paper", overrides={"horizon": 0.5}, seed=0)
+    match = r"^scenario 'paper': horizon = 0\.5: must be longer, no command came in 20 episodes$"
+    with pytest.raises(ScenarioError, match=match):
+        road.reset()
+    with pytest.raises(ScenarioError, match=match):
+        road.reset(seed=1)
+
+
+def test_the_aec_form_is_used_in_every_order():
+    cycle = env("dense", seed=0, overrides={"num_agents": 3})
+    with pytest.raises(AttributeError, match="cannot be accessed before reset"):
+        cycle.agent_selection  # noqa: B018
+    with pytest.raises(AssertionError):
+        cycle.step(hold(None))
+    for _ in range(2):
+        # A reset in the middle of a cycle begins anew.
+        cycle.reset(seed=4)
+        seen = cycle.last()[0].tobytes()
+        for _ in range(7):
+            cycle.step(hold(None))
+    cycle.reset(seed=4)
+    assert cycle.last()[0].tobytes() == seen
+    for agent in cycle.agent_iter():
+        _, _, terminated, truncated, info = cycle.last()
+        cycle.step(None if terminated or truncated else hold(None))
+        assert agent.startswith("changer_")
+        assert "phase" in info or truncated or terminated or not info
+    assert not cycle.agents
+    last = cycle.unwrapped.simulator.snapshot()
+    cycle.step(None)
+    assert cycle.unwrapped.simulator.snapshot() == last
+    cycle.close()
+    cycle.close()
+    cycle.reset(seed=4)
+    assert cycle.last()[0].tobytes() == seen
+
+
+def test_a_refused_action_of_the_aec_form_leaves_the_road():
+    cycle = env("dense", seed=0)
+    cycle.reset()
+    before = cycle.unwrapped.simulator.snapshot()
+    with pytest.raises(ValueError, match=r"^actions\['changer_0'\]: shape \(2,\), must be \(1,\)$"):
+        cycle.step(np.zeros(2))
+    assert cycle.unwrapped.simulator.snapshot() == before
+    cycle.step(np.zeros(1))
+    assert cycle.unwrapped.simulator.snapshot() != before
+
+
+def test_pettingzoos_wrappers_change_nothing():
+    plain = transcript(parallel_env("dense", overrides={"num_agents": 3}), hold, seed=2)
+    wrapped = BaseParallelWrapper(parallel_env("dense", overrides={"num_agents": 3}))
+    assert transcript(wrapped, hold, seed=2) == plain
+    cycle = OrderEnforcingWrapper(ClipOutOfBoundsWrapper(env("dense", overrides={"num_agents": 3})))
+    back = aec_to_parallel(cycle)
+    back.reset(seed=2)
+    road = parallel_env("dense", overrides={"num_agents": 3})
+    road.reset(seed=2)
+    while len(road.agents) == 1:
+        actions = {agent: np.full(1, 0.1, np.float32) for agent in road.agents}
+        assert back.agents == road.agents
+        back.step(actions)
+        road.step(actions)
+        assert back.state().tobytes() == road.state().tobytes()
+    assert road.simulator.roads["step"][0] > 0

@@ -1,8 +1,11 @@
 from itertools import islice
 
 import numpy as np
+import pytest
 
 from marl_lanes.evaluation.driving import drive
+from marl_lanes.scenario import ScenarioError
+from marl_lanes.traffic import simulator as simulator_module
 from marl_lanes.traffic.simulator import Simulator
 
 
@@ -44,3 +47,18 @@ def test_the_policy_is_asked_only_for_the_next_step():
         if was_asked:
             break
     assert was_asked
+
+
+def test_where_agents_are_needed_a_day_without_one_is_an_error(monkeypatch):
+    monkeypatch.setattr(simulator_module, "MAX_WAIT", 20.0)
+    overrides = {"departures": {"interval": [1e6, 1e6]}, "horizon": None}
+
+    def steps(*, needs_agents):
+        simulator = Simulator("paper", 2, overrides=overrides)
+        simulator.reset()
+        unused = drive(simulator, lambda seen: seen, needs_agents=needs_agents)
+        return sum(1 for _ in islice(unused, 300))
+
+    assert steps(needs_agents=False) == 300
+    with pytest.raises(ScenarioError, match="no agent has become live in 20 s"):
+        steps(needs_agents=True)

@@ -1,11 +1,23 @@
 """Reading checkpoints: without running code, and what is refused."""
 
+import contextlib
+import os
+import warnings
+import zipfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
-from checkpoints import OTHER_FILES, assert_runs_no_code
+from checkpoints import OTHER_FILES, assert_runs_no_code, save_trained
+from damage import assert_read_as_it_was_or_refused
 
-from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy, read_checkpoint
+from marl_lanes.naf.checkpoint import (
+    CheckpointError,
+    greedy_policy,
+    read_checkpoint,
+    read_content,
+)
 from marl_lanes.naf.network import NAFNetwork
 
 torch.set_num_threads(1)
@@ -40,6 +52,142 @@ def test_a_truncated_file_is_refused(policy_file, share):
     with pytest.raises(CheckpointError, match=r"policy\.pt") as caught:
         read_checkpoint(policy_file)
     assert len(str(caught.value).splitlines()) == 1
+
+
+def plain(path):
+    """The content of a checkpoint, comparable."""
+    content = read_content(path)
+    weights = {key: value.numpy().tobytes() for key, value in content["weights"].items()}
+    return content | {"weights": weights}
+
+
+def test_a_damaged_file_is_refused_or_reads_the_same(policy_file):
+    found = assert_read_as_it_was_or_refused(policy_file, plain, CheckpointError)
+    assert found > 100
+
+
+def test_every_byte_of_the_directory_counts(policy_file):
+    """The attributes of an entry, too: of a folder torch reads what is in memory by chance."""
+    content, wanted = policy_file.read_bytes(), plain(policy_file)
+    for place in range(content.index(b"PK\x01\x02"), len(content)):
+        changed = bytearray(content)
+        changed[place] ^= 0x10
+        policy_file.write_bytes(changed)
+        with contextlib.suppress(CheckpointError):
+            assert plain(policy_file) == wanted, place
+
+
+def test_a_user_can_read_it_with_torch_alone(policy_file):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert torch.load(policy_file, weights_only=True).keys() == read_content(policy_file).keys()
+
+
+def test_equal_networks_are_equal_files(tmp_path):
+    one, other = save_trained(tmp_path / "one.pt"), save_trained(tmp_path / "deep" / "other.pt")
+    assert one.read_bytes() == other.read_bytes()
+
+
+def rewritten(path, change, **options):
+    """Write the archive anew, its entries as ``change`` gives them: pairs of name and bytes."""
+    with zipfile.ZipFile(path) as archive:
+        entries = [(entry.filename, archive.read(entry)) for entry in archive.infolist()]
+    with zipfile.ZipFile(path, "w", **options) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name, content in change(entries):
+            archive.writestr(zipfile.ZipInfo(name) if not options else name, content)
+
+
+def test_a_compressed_file_is_refused(policy_file):
+    """A zip bomb would fill the memory."""
+    rewritten(policy_file, lambda entries: entries, compression=zipfile.ZIP_DEFLATED)
+    with pytest.raises(CheckpointError, match="must be files that are not compressed"):
+        read_checkpoint(policy_file)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda entries: [*entries, entries[4]],
+        lambda entries: entries[:0],
+        lambda entries: entries[1:],
+        lambda entries: [(f"/{name}", content) for name, content in entries],
+        lambda entries: [(f"../../{name}", content) for name, content in entries],
+        lambda entries: [(name.replace("archive", "\n"), content) for name, content in entries[1:]],
+        lambda entries: [*entries, ("archive/constants.pkl", b""), ("archive/code/x.py", b"1/0")],
+        lambda entries: [(name, content * 2) for name, content in entries],
+        lambda entries: [(name, content[:-1]) for name, content in entries],
+    ],
+    ids=["twice", "nothing", "headless", "root", "above", "newline", "script", "long", "short"],
+)
+def test_strange_entries_are_refused_or_change_nothing(policy_file, change):
+    wanted = plain(policy_file)
+    before = set(policy_file.parent.parent.rglob("*"))
+    rewritten(policy_file, change)
+    with contextlib.suppress(CheckpointError):
+        assert plain(policy_file) == wanted
+    assert set(policy_file.parent.parent.rglob("*")) == before
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.pt")
+    for path in (tmp_path / "pipe.pt", Path("/dev/zero"), tmp_path):
+        with pytest.raises(CheckpointError, match="cannot be read: must be a regular file"):
+            read_checkpoint(path)
+
+
+def nested(depth):
+    """A list that is short in a file and long as a text."""
+    value = ["x"]
+    for _ in range(depth):
+        value = [value] * 10
+    return value
+
+
+def test_absurd_contents_are_refused_in_a_line_and_at_once(policy_file):
+    content = torch.load(policy_file, weights_only=True)
+    weights = content["weights"]
+    first = next(key for key, value in weights.items() if value.ndim == 2)
+    rows, columns = weights[first].shape
+    huge = torch.zeros(1).expand(10**6, 10**6)
+
+    def bad(**changes):
+        return content | {"config": content["config"] | changes}
+
+    def weighing(value):
+        return content | {"weights": weights | {first: value}}
+
+    cases = [
+        (bad(hidden_sizes=[10**9, 10**9]), "hidden_sizes = .1000000000, 1000000000.: must be that"),
+        (bad(hidden_sizes=[0] * 10**5), "hidden_sizes = .0, 0, 0"),
+        (bad(hidden_sizes="wide"), "inconsistent"),
+        (bad(hidden_sizes=None), "inconsistent"),
+        (bad(features=nested(12)), "config.features: must be a plain value"),
+        (bad(mu=nested(12)), "config.mu: must be a plain value"),
+        (bad(mu="x" * 10**6), "inconsistent"),
+        (bad(action_low=[float("nan")]), "inconsistent"),
+        (content | {"scenario": nested(12)}, "scenario and transitions"),
+        (content | {"transitions": 1e400}, "scenario and transitions"),
+        (weighing(weights[first] * float("nan")), "every number must be finite"),
+        (weighing(weights[first] + float("inf")), "every number must be finite"),
+        (weighing(weights[first].double()), "torch.float64 of shape"),
+        (weighing(weights[first].to(torch.complex64)), "torch.complex64 of shape"),
+        (weighing(weights[first][:1]), f"of shape .1, {columns}.: must be"),
+        (weighing(torch.zeros(columns, rows).T), "in another order: must be"),
+        (weighing(torch.zeros(1).expand(rows, columns)), "in another order: must be"),
+        (weighing(huge), "of shape .1000000, 1000000. in another order"),
+        (weighing(weights[first].to_sparse()), "no dense tensor|inconsistent"),
+        (weighing(weights[first].to("meta")), "inconsistent|must be"),
+        (weighing("text"), "inconsistent"),
+        (content | {"weights": weights | {"more": weights[first]}}, "weights: .'more'.: must be"),
+        (content | {"weights": {3: weights[first]}}, "inconsistent"),
+    ]
+    for case, message in cases:
+        torch.save(case, policy_file)
+        with pytest.raises(CheckpointError, match=rf"policy\.pt: .*({message})") as caught:
+            read_checkpoint(policy_file)
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 500
 
 
 @pytest.mark.parametrize("data", OTHER_FILES)

@@ -3,7 +3,7 @@
 import math
 
 from reference.command import Commands
-from reference.geometry import overlap_area
+from reference.geometry import hull, overlap_area
 from reference.records import SCRIPTED, Car
 
 from marl_lanes.traffic.machine.state import CollisionKind, Disposition
@@ -12,19 +12,41 @@ from marl_lanes.traffic.machine.state import CollisionKind, Disposition
 class Flow(Commands):
     """Departures, collisions and removal."""
 
+    def is_hit_by(self, car, other):
+        """Whether two bodies overlap, whether they moved far, whether they only met on the way.
+
+        Seen from the other one, a body covers the hull of itself at both ends of its way.
+        """
+        size, covered = self.scenario.vehicle, self.corners(car)
+        back, aside = ((b - a) - (d - c) for a, b, c, d in zip(
+            car.before, (car.position, car.lateral_position),
+            other.before, (other.position, other.lateral_position), strict=True))  # fmt: skip
+        is_far = abs(back) > size.length or abs(aside) > size.width / 2
+        ahead = car.position - other.position
+        if min(ahead, ahead - back * is_far) > math.hypot(size.length, size.width):
+            return False, False, False
+        has_met = overlap_area(covered, self.corners(other)) > 1e-12
+        if is_far and not has_met:
+            covered = hull(covered + [(x - back, y - aside) for x, y in covered])
+            return overlap_area(covered, self.corners(other)) > 1e-12, True, True
+        return has_met, is_far, False
+
     def collide(self):
-        """Record every pair of overlapping rectangles, ordered by the front one, from the front."""
+        """Record every pair of colliding rectangles, ordered by the front one, from the front."""
         length = self.scenario.vehicle.length
-        reach = math.hypot(length, self.scenario.vehicle.width)
-        for rank, front in enumerate(self.cars):
-            for rear in self.cars[rank + 1 :]:
-                if front.position - rear.position > reach:
-                    break
-                if overlap_area(self.corners(rear), self.corners(front)) <= 1e-12:
+        for rank, ahead in enumerate(self.cars):
+            for behind in self.cars[rank + 1 :]:
+                is_hit, is_far, is_on_way = self.is_hit_by(ahead, behind)
+                if not is_hit:
                     continue
+                front, rear = ahead, behind
+                if is_far and ahead.before[0] < behind.before[0]:
+                    front, rear = behind, ahead
                 front.is_hit = rear.is_hit = True
                 closing = rear.speed - front.speed
                 before = front.position - rear.position + closing * self.scenario.time_step
+                if is_on_way:
+                    before = front.before[0] - rear.before[0]
                 kind = CollisionKind.SIDE if abs(before) < length else CollisionKind.REAR_END
                 self.collisions.append(
                     {
@@ -52,13 +74,21 @@ class Flow(Commands):
         self.counts["num_removed"] = len(gone)
 
     def depart(self):
-        """At most one vehicle per lane, if the gap is at least its driver's desired gap."""
+        """At most one vehicle per lane, if the gap is at least its driver's desired gap.
+
+        If not all due vehicles find a place, the one that has waited longest takes it.
+        """
         scenario = self.scenario
         now = self.counts["step"] * scenario.time_step
-        for lane, (due, speed, name) in enumerate(self.departures):
+        lanes = [lane for lane, (due, *_) in enumerate(self.departures) if due <= now]
+        if len(lanes) > scenario.max_vehicles - len(self.cars) - len(self.removed):
+            lanes.sort(key=lambda lane: self.departures[lane][0])
+        for lane in lanes:
             taken = {car.slot for car in self.cars} | self.removed
-            if now < due or len(taken) == scenario.max_vehicles:
+            if len(taken) == scenario.max_vehicles:
+                self.counts["num_held_back"] += 1
                 continue
+            _, speed, name = self.departures[lane]
             slot = next(slot for slot in range(scenario.max_vehicles) if slot not in taken)
             car = Car(self.counts["num_entered"], slot, 0.0, self.centre(lane), speed, 0.0, 0.0,
                       0.0, 0.0, 0.0, 0.0, lane, name, Disposition.NEUTRAL)  # fmt: skip
@@ -82,8 +112,13 @@ class Flow(Commands):
             car.command_position = self.random.uniform(*scenario.command.position)
             self.cars.append(car)
             self.counts["num_entered"] += 1
-            due = now + self.random.uniform(*scenario.departures.interval)
-            speed = self.random.uniform(*scenario.departures.initial_speed)
-            mix = scenario.drivers.mix
-            name = self.random.choose({n: mix.get(n, 0.0) for n in scenario.drivers.profiles})
-            self.departures[lane] = [due, speed, name]
+            self.departures[lane] = self.next_departure(now)
+
+    def next_departure(self, now):
+        """Time, speed and profile of a lane's next vehicle."""
+        scenario = self.scenario
+        due = now + self.random.uniform(*scenario.departures.interval)
+        speed = self.random.uniform(*scenario.departures.initial_speed)
+        mix = scenario.drivers.mix
+        name = self.random.choose({n: mix.get(n, 0.0) for n in scenario.drivers.profiles})
+        return [due, speed, name]

@@ -30,7 +30,9 @@ class GapSeeking(Flow):
         if rear is not None and low > car.position and min(rear.speed, top) > pace:
             pace = min(rear.speed, top)
             low, high = self.window(car, pace, front, rear)
-        if low > high:
+        if math.isinf(low) and math.isinf(high) and low > high:
+            return pace, None, car.position
+        if low > high or low == math.inf or high == -math.inf:
             return pace, None, (low + high) / 2.0
         inset = min(3.0, (high - low) / 2.0)
         point = min(max(car.position, low), high)

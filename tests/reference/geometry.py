@@ -13,7 +13,7 @@ class Geometry:
     def __init__(self, scenario):
         self.scenario = scenario
         self.cars, self.agents, self.collisions, self.counts = [], {}, [], {}
-        self.followers = {}
+        self.followers, self.departures = {}, []
         self.external_names = [name for name in scenario.followers.mix if name not in SCRIPTED]
         self.known_lanes = {}
 
@@ -46,7 +46,9 @@ class Geometry:
     def turn_rate(self, car):
         """Turning rate of the road under the car: c s'."""
         c = self.curvature(car.position)
-        return c * car.speed * math.cos(car.yaw) / (1.0 - c * car.lateral_position)
+        # Beside the road, towards the arc's centre, as at half the radius.
+        share = min(c * car.lateral_position, 0.5)
+        return c * car.speed * math.cos(car.yaw) / (1.0 - share)
 
     def corners(self, car):
         """Corners of the rectangle, counter-clockwise."""
@@ -99,6 +101,22 @@ def shape(arc, position):
     if arc.transition == 0.0:
         return 1.0
     return min(1.0, (position - arc.start) / arc.transition, (arc.end - position) / arc.transition)
+
+
+def hull(points):
+    """The convex hull of points, counter-clockwise: the lower edge to the right, then the upper."""
+    edges = []
+    for ordered in (sorted(points), sorted(points, reverse=True)):
+        edge = []
+        for x, y in ordered:
+            while len(edge) > 1 and (
+                (edge[-1][0] - edge[-2][0]) * (y - edge[-2][1])
+                <= (edge[-1][1] - edge[-2][1]) * (x - edge[-2][0])
+            ):
+                edge.pop()
+            edge.append((x, y))
+        edges += edge[:-1]
+    return edges
 
 
 def overlap_area(subject, clip):

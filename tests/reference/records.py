@@ -27,8 +27,10 @@ class Car:
     profile: str
     disposition: int
     moving_over: int = 0
+    advance: float = 0.0
     agent: "Agent | None" = None
     changer: "Car | None" = None
+    before: tuple = (0.0, 0.0)
     is_off_road: bool = False
     is_past_end: bool = False
     is_hit: bool = False
@@ -70,3 +72,6 @@ class Follower:
     reward: float = 0.0
     episode_reward: float = 0.0
     observation: list = field(default_factory=list)
+
+    def be_unpaid(self):
+        self.terms, self.reward = dict.fromkeys(FOLLOWER_TERMS, 0.0), 0.0

@@ -11,7 +11,7 @@ from philox import Random
 from reference.records import Agent, Car, Follower
 from reference.roles import Roles
 
-from marl_lanes.traffic.machine.state import Outcome, Phase
+from marl_lanes.traffic.machine.state import ROAD, Outcome, Phase
 
 KEEPING_MIN_SPEED = 1.0
 
@@ -68,8 +68,26 @@ class Road(Roles):
             road.followers[slot] = Follower(driver, episode_reward=total)
         return road
 
+    @classmethod
+    def after_reset(cls, scenario, seed):
+        """Road 0 of a seed after its reset: empty, then a warm-up without commands."""
+        road = cls(scenario)
+        road.counts = {name: 0 for name, *_ in ROAD if not name.startswith("random")}
+        road.random = Random(seed, 0, 0)
+        start = -math.ceil(road.random.uniform(*scenario.warmup) / scenario.time_step)
+        now, road.counts["step"] = start * scenario.time_step, start
+        for _ in range(scenario.road.num_lanes):
+            _, speed, name = road.next_departure(now)
+            # The road begins at a random time between two departures.
+            due = now + road.random.uniform(0.0, scenario.departures.interval[1])
+            road.departures.append([due, speed, name])
+        for _ in range(-start):
+            road.step([], [])
+        return road
+
     def step(self, actions, follower_actions):
         """One time step, given by agent slot the actions and the accelerations of the followers."""
+        self.forget()
         if self.scenario.followers.cooperative.moves_over:
             for car in self.cars:
                 self.move_over(car)
@@ -94,6 +112,14 @@ class Road(Roles):
             self.pair()
         self.finish()
 
+    def forget(self):
+        """Free the slots of the commands that ended in the step before."""
+        for slot, agent in list(self.agents.items()):
+            if agent.outcome != Outcome.UNFINISHED:
+                del self.agents[slot]
+                self.followers.pop(slot, None)
+        self.known_lanes.clear()
+
     def move(self, car, actions):
         """Steer, then semi-implicit Euler; the road's turning is from before the step."""
         scenario, turn_rate = self.scenario, self.turn_rate(car)
@@ -110,6 +136,7 @@ class Road(Roles):
             steering -= 3 * pole**2 * car.yaw + 3 * pole * (car.yaw_rate - turn_rate)
             car.yaw_acceleration = min(max(steering, -bound), bound)
         step, before = scenario.time_step, (car.speed, car.yaw_rate)
+        car.before = car.position, car.lateral_position
         car.speed = max(0.0, car.speed + car.acceleration * step)
         fastest = car.speed / scenario.vehicle.min_turning_radius
         car.yaw_rate = min(max(car.yaw_rate + car.yaw_acceleration * step, -fastest), fastest)
@@ -119,6 +146,7 @@ class Road(Roles):
         car.yaw += (car.yaw_rate - turn_rate) * step
         c = self.curvature(car.position)
         along = car.speed * math.cos(car.yaw) / (1.0 - c * car.lateral_position)
+        car.advance = along * step
         car.position += along * step
         car.lateral_position += car.speed * math.sin(car.yaw) * step
         across = [corner[1] for corner in self.corners(car)]

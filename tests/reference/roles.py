@@ -7,6 +7,25 @@ from reference.records import Follower
 
 from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
 
+BOUNDS = {
+    "speed": (-150.0, 150.0),
+    "acceleration": (-20.0, 20.0),
+    "deviation": (-100.0, 100.0),
+    "gap": (-20.0, 10_000.0),
+    "yaw_rate": (-150.0, 150.0),
+    "time": (0.0, 1e6),
+    "distance_to_end": (-100.0, 100_000.0),
+}
+"""Bounds of features, by the end of their names; the others cannot be beyond theirs."""
+
+
+def clip(name, value):
+    """A feature within its bounds."""
+    for end, (low, high) in BOUNDS.items():
+        if name.endswith(end):
+            return min(max(value, low), high)
+    return value
+
 
 class Roles(Driving):
     """Observations, rewards and pairs."""
@@ -58,7 +77,9 @@ class Roles(Driving):
         before, self.followers = self.followers, {}
         for slot, agent in self.agents.items():
             follower = self.followers[slot] = before.get(slot, Follower())
-            if follower.car is not None:
+            if follower.car is None:
+                follower.be_unpaid()
+            else:
                 self.pay(follower, agent)
             driver = agent.neighbors["target_follower"]
             is_engaged = agent.phase == Phase.ENGAGED and agent.outcome == Outcome.UNFINISHED
@@ -94,15 +115,16 @@ class Roles(Driving):
             # The command is over: the deviation is from the target lane.
             phase = Phase.ABSENT
             deviation = agent.direction * (self.centre(agent.target) - changer.lateral_position)
+        sideways = agent.direction * changer.speed * math.sin(changer.yaw)
         return [
-            driver.speed,
-            driver.acceleration,
-            min(self.gap(driver, changer), reach),
-            changer.speed - driver.speed,
-            deviation,
-            agent.direction * changer.speed * math.sin(changer.yaw),
-            min(gap, reach),
-            relative_speed,
+            clip("speed", driver.speed),
+            clip("acceleration", driver.acceleration),
+            clip("gap", min(self.gap(driver, changer), reach)),
+            clip("speed", changer.speed - driver.speed),
+            clip("deviation", deviation),
+            clip("speed", sideways),
+            clip("gap", min(gap, reach)),
+            clip("speed", relative_speed),
             float(phase),
         ]
 
@@ -120,7 +142,8 @@ class Roles(Driving):
         seen["speed"], seen["acceleration"] = car.speed, car.acceleration
         seen["lateral_deviation"] = self.deviation(agent)
         seen["lateral_speed"] = sign * car.speed * math.sin(car.yaw)
-        seen["yaw"], seen["yaw_rate"] = sign * car.yaw, sign * car.yaw_rate
+        seen["yaw"] = math.atan2(math.sin(sign * car.yaw), math.cos(sign * car.yaw))
+        seen["yaw_rate"] = sign * car.yaw_rate
         seen["curvature"] = sign * self.curvature(car.position)
         seen["phase"] = float(agent.phase)
         seen["time"] = (self.counts["step"] - agent.born) * self.scenario.time_step
@@ -133,3 +156,5 @@ class Roles(Driving):
                 rear, front = (car, other) if name.endswith("leader") else (other, car)
                 seen[f"{name}_gap"] = min(self.gap(rear, front), reach)
                 seen[f"{name}_relative_speed"] = other.speed - car.speed
+        for name, value in seen.items():
+            seen[name] = clip(name, value)

@@ -1,8 +1,11 @@
 """Run folders as a training leaves them before its conclusion."""
 
+import json
+
 from marl_lanes import load_scenario
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
 from marl_lanes.training.config import EVALUATED
+from marl_lanes.training.inputs import SCENARIO_FILE
 from marl_lanes.training.run_folder import COMMAND_FILE, FINAL_MODEL, RunFolder
 
 
@@ -11,6 +14,8 @@ def trained(path, scenario="paper"):
     loaded = load_scenario(scenario)
     run = RunFolder(path, ("loss",))
     run.config.write_text(f"scenario: {scenario}\n", encoding="utf-8")
+    fields = json.dumps(loaded.model_dump(mode="json"))
+    (path / SCENARIO_FILE).write_text(fields, encoding="utf-8")
     (path / COMMAND_FILE).write_text("python train.py\n", encoding="utf-8")
     run.times.write_text('{"seconds_training": 1.0}', encoding="utf-8")
     network = make_network(loaded, "cascade" if scenario == "paper" else "cascade+idm")

@@ -69,6 +69,7 @@ def make_run(folder, rows=ROWS, choice=None, **changes):
             (folder / "figures" / f"{name}.{kind}").write_text(SVG, encoding="utf-8")
     (folder / "evaluation.json").write_text(json.dumps(evaluation), encoding="utf-8")
     (folder / "config.yaml").write_text("scenario: paper\nseed: 0\n", encoding="utf-8")
+    (folder / "scenario.yaml").write_text("name: paper\n", encoding="utf-8")
     (folder / "command.txt").write_text("python train.py seed=0\n", encoding="utf-8")
     seconds = {"seconds_training": 1156.25, "seconds_evaluating": 9.5}
     (folder / "training.json").write_text(json.dumps(seconds), encoding="utf-8")

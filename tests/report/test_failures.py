@@ -73,7 +73,8 @@ def test_the_commands_can_be_given_to_a_shell(tmp_path):
     folder = str(tmp_path / "a run")
     road = f"{folder}/trajectories/road_0017.parquet"
     assert record == [
-        *("marl-lanes", "record", f"{folder}/checkpoints/final.pt", "--scenario", "paper"),
+        *("marl-lanes", "record", f"{folder}/checkpoints/final.pt"),
+        *("--scenario", f"{folder}/scenario.yaml"),
         *("--seed", "1000000", "--road", "17", "--out", road),
     ]
     assert replay == [

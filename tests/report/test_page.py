@@ -186,7 +186,7 @@ HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
 
 def test_foreign_text_is_text(tmp_path):
     run = make_run(
-        tmp_path / "run",
+        tmp_path / HOSTILE.replace("/", ""),
         rows=[row(0, 0, HOSTILE, HOSTILE)],
         choice=HOSTILE,
         scenario=HOSTILE,

@@ -7,7 +7,10 @@ from marl_lanes.scenario import load_scenario
 from marl_lanes.traffic.roles.changer import FEATURES
 
 WRONG = [
-    ({"action": {"longitudinal": {"max_speed": 0.0}}}, ["longitudinal.max_speed = 0.0", "than 0"]),
+    (
+        {"action": {"longitudinal": {"max_speed": 0.0}}},
+        ["longitudinal.max_speed = 0.0", "than or equal to 0.1"],
+    ),
     ({"observation": {"features": []}}, ["observation.features", "at least 1"]),
     ({"observation": {"features": ["sped"]}}, ["observation.features.0 = 'sped'", "'speed'"]),
     ({"observation": {"features": ["yaw", "yaw"]}}, ["observation.features", "['yaw']", "once"]),

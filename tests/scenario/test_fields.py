@@ -21,7 +21,7 @@ WRONG = [
     ({"departures": {"initial_speed": ["30 mph", 9.0]}}, ["'30 mph'", "'30 km/h'"]),
     (
         {"departures": {"initial_speed": ["0 km/h", 9.0]}},
-        ["initial_speed.0 = 0.0", "greater than 0"],
+        ["initial_speed.0 = 0.0", "greater than or equal to 0.1"],
     ),
 ]
 

@@ -2,8 +2,10 @@
 
 import re
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
+from scenario.drawing import draw_fields, numbers
 from scenario.refusals import assert_refused, error_of
 
 from marl_lanes.scenario import followers as followers_module
@@ -13,7 +15,7 @@ from marl_lanes.scenario import schema as schema_module
 WRONG = [
     ({"time_step": 0.0}, ["time_step = 0.0: must be greater than"]),
     ({"time_step": -0.1}, ["time_step = -0.1: must be greater than"]),
-    ({"horizon": 0.0}, ["horizon = 0.0: must be greater than 0"]),
+    ({"horizon": 0.0}, ["horizon = 0.0: must be greater than or equal to 0.01"]),
     ({"command": {"position": [140.0, 1200.0]}}, ["command.position = [140.0, 1200.0]", "1000.0"]),
     ({"command": {"lanes": [0]}}, ["command.lanes = [0] must be among the middle lanes [1]"]),
     ({"command": {"lanes": [2]}}, ["command.lanes = [2] must be among the middle lanes [1]"]),
@@ -80,3 +82,37 @@ def test_every_field_says_what_it_is_and_its_unit(field):
 def test_a_horizon_that_cannot_be_counted_in_steps_is_refused(horizon):
     """Rounded to 0 steps a horizon would mean no end; beyond 64 bits it cannot be stored."""
     assert "horizon" in error_of("paper", {"horizon": horizon})
+
+
+UNLIMITED = {"command.lanes[]": "must be among the road's middle lanes, at most 14"}
+"""Numbers without limits of their own, and why."""
+
+
+def test_every_number_has_a_lower_and_an_upper_limit():
+    found = list(numbers())
+    assert len(found) > 70
+    missing = {path for path, low, high in found if low is None or high is None}
+    assert missing == set(UNLIMITED)
+    assert all(-1e9 <= low < high <= 1e9 for path, low, high in found if path not in missing)
+
+
+@pytest.mark.parametrize("value", [1e308, -1e308])
+@pytest.mark.parametrize(
+    ("path", "entry"),
+    [
+        (path.removesuffix("[]"), "[]" in path)
+        for path in dict.fromkeys(path for path, *_ in numbers())
+        if "arcs" not in path and "*" not in path and path not in UNLIMITED
+    ],
+)
+def test_no_number_may_be_huge(path, entry, value):
+    overrides = [value, value] if entry else value
+    for name in reversed(path.split(".")):
+        overrides = {name: overrides}
+    assert path.rpartition(".")[2] in error_of("paper", overrides)
+
+
+@pytest.mark.parametrize("corner", [0, 1])
+def test_all_fields_may_be_at_one_end_of_their_limits(corner):
+    fields = draw_fields(np.random.default_rng(corner), corner)
+    load_scenario({**fields, "road": {**fields["road"], "arcs": []}})

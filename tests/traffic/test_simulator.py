@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from staging import command, damped_actions, stage
 
+from marl_lanes.scenario import ScenarioError
+from marl_lanes.traffic import simulator as simulator_module
 from marl_lanes.traffic.machine.state import Phase
-from marl_lanes.traffic.simulator import Simulator
+from marl_lanes.traffic.simulator import MAX_WAIT, Simulator
 
 MIXED = {
     "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
@@ -142,6 +144,48 @@ def test_advance_until_live_stops_at_the_horizon():
     simulator.advance_until_live()
     assert (simulator.roads["is_done"] == 1).all()
     assert (simulator.roads["step"] == 200).all()
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {"departures": {"interval": [1e6, 1e6]}},
+        {"command": {"probability": 1e-300}},
+        # At this speed no vehicle is there in a day.
+        {
+            "road": {"length": 100_000.0},
+            "command": {"position": [90_000.0, 90_000.0]},
+            "departures": {"desired_speed": [0.5, 0.5], "initial_speed": [0.5, 0.5]},
+            "max_vehicles": 4,
+        },
+        {"command": {"probability": 0.0}},
+    ],
+    ids=["no departures", "no commands", "out of reach", "probability 0"],
+)
+def test_waiting_for_a_command_that_does_not_come_is_an_error(overrides):
+    fields = {"horizon": None, "time_step": 0.5, "lane_keeping": {"pole": 1.0}}
+    simulator = Simulator("paper", overrides={**fields, **overrides})
+    simulator.reset()
+    with pytest.raises(ScenarioError, match="horizon = null"):
+        simulator.advance_until_live()
+    assert simulator.roads["step"][0] * 0.5 <= MAX_WAIT
+
+
+def test_the_steps_of_a_call_are_bounded_and_their_number_changes_nothing(monkeypatch):
+    states = []
+    for work in (1, simulator_module._WORK_PER_CALL):
+        monkeypatch.setattr(simulator_module, "_WORK_PER_CALL", work)
+        simulator = Simulator("paper", 3, seed=3)
+        calls = []
+        run = simulator._run
+        monkeypatch.setattr(
+            simulator, "_run", lambda *a, run=run, calls=calls: calls.append(run(*a))
+        )
+        simulator.reset()
+        simulator.advance_until_live()
+        states.append(simulator.state.tobytes())
+        assert len(calls) > 40 if work == 1 else len(calls) == 3
+    assert states[0] == states[1]
 
 
 def test_actions_are_clipped_to_the_scenarios_bound():

@@ -12,13 +12,14 @@ from comparing import (
     compare_vehicles,
     met_behind,
     met_beside,
+    met_by_agents,
     moving_over,
 )
 from reference.road import Road
 from staging import command, damped_actions, stage
 
 from marl_lanes.scenario import list_scenarios
-from marl_lanes.traffic.machine.state import Disposition, Outcome, Phase
+from marl_lanes.traffic.machine.state import Disposition
 from marl_lanes.traffic.simulator import Simulator
 
 MIXED = {
@@ -71,7 +72,7 @@ class Case:
     noise: float = 0.1
     bias: float = 0.0
     seed: int = 0
-    meets: tuple = (Phase.ENGAGED,)
+    meets: tuple = ("ENGAGED",)
     has_learner: bool = False
     pushing: float = 0.0
     policies: dict = field(default_factory=dict)
@@ -83,40 +84,40 @@ CASES = {
         name: Case(name, {"observation": EVERY_FEATURE}, 120, num_roads=2)
         for name in list_scenarios()
     },
-    "mixed": Case("paper", MIXED, 200, seed=1, meets=(Outcome.COMPLETED,)),
-    "settled changes": Case("paper", MIXED, 200, noise=0.0, seed=1, meets=(Outcome.COMPLETED,)),
+    "mixed": Case("paper", MIXED, 200, seed=1, meets=("COMPLETED",)),
+    "settled changes": Case("paper", MIXED, 200, noise=0.0, seed=1, meets=("COMPLETED",)),
     "sum": Case("dense", {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "sum"}}, 60),
     "acc": Case(
         "dense",
         {**MIXED, "drivers": {**MIXED["drivers"], "car_following": "acc", "coolness": 0.9}},
         120,
-        meets=(Phase.WAITING, Phase.ENGAGED, Outcome.COMPLETED),
+        meets=("WAITING", "ENGAGED", "COMPLETED"),
     ),
     "acc, crowded": Case(
         "paper",
         CROWDED | {"gap": {}, "drivers": {**MIXED["drivers"], "car_following": "acc"}},
         100,
-        meets=(Phase.WAITING, Phase.ENGAGED),
+        meets=("WAITING", "ENGAGED"),
     ),
     "kinematic": Case(
         "dense",
         {**MIXED, "gap": {"rule": "kinematic"}},
         150,
-        meets=(Phase.WAITING, Phase.ENGAGED, Outcome.COMPLETED),
+        meets=("WAITING", "ENGAGED", "COMPLETED"),
     ),
     "seeking": Case(
         "dense",
         {**MIXED, "followers": {"mix": {"adversarial": 1.0}}},
         250,
-        meets=(Phase.WAITING, Phase.ABORTING, Outcome.COMPLETED),
+        meets=("WAITING", "ABORTING", "COMPLETED"),
     ),
     "seeking, sum": Case(
         "paper",
         CROWDED | {"gap": {}, "drivers": {**MIXED["drivers"], "car_following": "sum"}},
         100,
-        meets=(Phase.WAITING, Phase.ENGAGED),
+        meets=("WAITING", "ENGAGED"),
     ),
-    "busy": Case("paper", BUSY, 100, meets=(Phase.WAITING, Phase.ENGAGED)),
+    "busy": Case("paper", BUSY, 100, meets=("WAITING", "ENGAGED")),
     "guard": Case(
         "paper",
         BUSY
@@ -126,9 +127,9 @@ CASES = {
             "gap": {"rule": "kinematic", "minimum_gap": 0.5, "time_gap": 0.1},
         },
         110,
-        meets=(Phase.ABORTING, Outcome.COMPLETED, Outcome.MISSED),
+        meets=("ABORTING", "COMPLETED", "MISSED"),
     ),
-    "hostile": Case("paper", BUSY | OPEN_GAP, 150, bias=0.4, meets=(Outcome.OFF_ROAD,)),
+    "hostile": Case("paper", BUSY | OPEN_GAP, 150, bias=0.4, meets=("OFF_ROAD",)),
     "arcs": Case("paper", BUSY | {"road": {**BUSY["road"], "arcs": ARCS}}, 200, noise=0.3),
     "stepped arcs, every driver": Case(
         "interactive",
@@ -139,31 +140,44 @@ CASES = {
         150,
         pushing=2.0,
         has_learner=True,
-        meets=("paired", Outcome.COMPLETED),
+        meets=("paired", "COMPLETED"),
     ),
     "coarse": Case(
         "paper",
         BUSY | OPEN_GAP | {"time_step": 0.25, "completion": {"max_yaw_rate": 0.05}},
         150,
         bias=0.4,
-        meets=(Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD),
+        meets=("COLLISION", "OFF_ROAD"),
     ),
-    "two actions": Case("paper", BUSY | LONGITUDINAL | PAID, 150, meets=(Outcome.COMPLETED,)),
+    "through each other": Case(
+        "paper",
+        CROWDED
+        | OPEN_GAP
+        | {"time_step": 0.5, "lane_keeping": {"pole": 1.0}}
+        | {"followers": {"mix": {"learned": 1.0}, "external": {**RECKLESS, "max_speed": 70.0}}},
+        150,
+        noise=0.5,
+        pushing=9.0,
+        has_learner=True,
+        meets=("paired", "collision", "OFF_ROAD"),
+    ),
+    "full road": Case("paper", CROWDED | {"max_vehicles": 14}, 150, meets=("WAITING",)),
+    "two actions": Case("paper", BUSY | LONGITUDINAL | PAID, 150, meets=("COMPLETED",)),
     "two actions, crowded": Case(
         "interactive",
         CROWDED | LONGITUDINAL | PAID | {"drivers": {"car_following": "sum"}},
         120,
         seed=2,
-        meets=(Phase.WAITING, Phase.ABORTING, Outcome.COMPLETED),
+        meets=("WAITING", "ABORTING", "COMPLETED"),
     ),
-    "delay": Case("dense", MIXED | PAID, 100, meets=(Phase.WAITING, Phase.ENGAGED)),
+    "delay": Case("dense", MIXED | PAID, 100, meets=("WAITING", "ENGAGED")),
     "learned": Case(
         "paper",
         CROWDED | {"followers": {"mix": {"learned": 1.0}}},
         150,
         pushing=2.0,
         has_learner=True,
-        meets=("paired", "abort", "unpaired", Outcome.COMPLETED),
+        meets=("paired", "abort", "unpaired", "COMPLETED"),
     ),
     "learned, unguarded": Case(
         "paper",
@@ -178,6 +192,7 @@ CASES = {
         },
         150,
         noise=0.5,
+        seed=1,
         pushing=3.0,
         has_learner=True,
         meets=("paired", "collision", "braking"),
@@ -189,6 +204,7 @@ CASES = {
         | LONGITUDINAL
         | {"followers": {"mix": {"polite": 1.0, "adversarial": 0.5, "learned": 1.0, "rude": 1.0}}},
         220,
+        seed=4,
         has_learner=True,
         policies={
             "polite": lambda seen: 0.2 * (seen[:, 2] - 10.0).clip(-10.0, 10.0),
@@ -213,13 +229,13 @@ CASES = {
         250,
         noise=0.0,
         seed=2,
-        meets=("moving over", "moved over", Outcome.COMPLETED),
+        meets=("moving over", "moved over", "COMPLETED"),
     ),
     "short": Case(
         "paper",
         BUSY | {"horizon": 12.0, "warmup": [0.0, 0.0]},
         130,
-        meets=(Phase.WAITING, Outcome.HORIZON),
+        meets=("WAITING", "HORIZON"),
     ),
 }
 
@@ -255,8 +271,7 @@ def follow(case):
             compare_vehicles(road, simulator, env)
             compare_agents(road, simulator, env)
             compare_followers(road, simulator, env)
-            met |= {agent.phase for agent in road.agents.values()}
-            met |= {agent.outcome for agent in road.agents.values()}
+            met |= set(met_by_agents(road))
             met |= set(met_behind(road))
             met |= set(met_beside(road, moving[env]))
     return met

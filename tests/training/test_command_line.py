@@ -1,5 +1,6 @@
 """The command line: overrides, choices of files, and what is refused."""
 
+import re
 import shlex
 import sys
 
@@ -12,6 +13,7 @@ from marl_lanes.training.command_line import (
     compose_fields,
     describe_command,
     read_command_line,
+    refusing,
 )
 from marl_lanes.training.config import ConfigError
 
@@ -56,23 +58,43 @@ def test_rays_address_is_an_option():
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("nonsense=1", "nonsense: unknown key; allowed: scenario, "),
-        ("loss.gama=0.9", "loss.gama: unknown key; did you mean gamma? allowed: gamma, "),
-        ("+loss.gama=0.9", "loss.gama: unknown key; did you mean gamma? allowed: gamma, "),
-        ("optimizer.lerning_rate=1", "optimizer.lerning_rate: unknown key; did you mean learning_"),
-        ("colector.num_envs=4", "colector: unknown key; did you mean collector? allowed: scenario"),
-        ("network.depth=3", "network.depth: unknown key; allowed: mu, "),
-        ("recipe=wild", "recipe = 'wild': must be fast, interactive, paper"),
-        ("collector=cloud", "collector = 'cloud': must be multi, ray, single"),
-        ("training_overrides.seed=1", "Could not override 'training_overrides.seed'. To append "),
-        ("seed", "Error parsing override 'seed'"),
+        ("training_overrides.seed=1", "training_overrides.seed: unknown key; allowed: name, "),
+        ("+seed=1", "Could not append to config. An item is already at 'seed'. "),
+        ("++recipe=paper", "force-add of config groups is not supported: '++recipe=paper'"),
+        ("loss=[]", "loss=[]: must be of the kind that --cfg job shows"),
+        ("network.hidden_sizes={a:3}", "network.hidden_sizes={a:3}: must be of the kind that "),
+        ("seed=${seed}", "Recursive interpolation detected "),
     ],
 )
-def test_unknown_keys_and_recipes_are_refused(override, message):
+def test_what_hydra_refuses_is_one_line(override, message):
     with pytest.raises(ConfigError) as caught:
         typed(override)
     assert str(caught.value).startswith(message)
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("option", ["--config-dir=/tmp", "--multirun", "--cf job", "-x", "--cfg=x"])
+def test_options_are_refused_in_one_line(capsys, option):
+    with pytest.raises(SystemExit) as caught:
+        read_command_line(TrainingConfig, FOLDER, "It learns.", ["seed=1", *option.split()])
+    assert caught.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.fullmatch(r"error: .*; --help shows what is allowed\n", err)
+    assert option.split()[0].partition("=")[0] in err
+
+
+@pytest.mark.parametrize("kind", [ValueError, ConfigError, FileNotFoundError])
+def test_bad_input_ends_with_2_and_one_line(capsys, kind):
+    with pytest.raises(SystemExit) as caught, refusing():
+        raise kind("it is\nnot there")
+    assert caught.value.code == 2
+    assert capsys.readouterr() == ("", "error: it is not there\n")
+
+
+def test_a_fault_of_the_program_is_none_of_the_input():
+    with pytest.raises(KeyError), refusing():
+        raise KeyError("x")
 
 
 def printed(capsys, *arguments):

@@ -176,7 +176,7 @@ def test_saved_models_are_evaluated_on_maneuvers_of_their_own():
 def test_a_resumed_run_has_its_own_config(tmp_path):
     config = typed("seed=3", "output=elsewhere", "+training_overrides.road.num_lanes=5")
     write_config(tmp_path / "run" / "config.yaml", config)
-    found = typed(f"resume={tmp_path / 'run'}", "seed=4")
+    found = typed(f"resume={tmp_path / 'run'}")
     path = str(tmp_path / "run")
     assert found == config.model_copy(update={"output": path, "resume": path})
     with pytest.raises(ConfigError, match=r"resume = .*absent.*must be a run folder"):
@@ -203,6 +203,9 @@ def test_a_field_without_a_value_is_named(tmp_path):
         typed("optimizer.final_rate='???'")
 
 
+HUGE = [10**40, -(10**40), 1e308, -1e308, float("nan"), float("inf"), -float("inf"), True]
+
+
 def test_every_number_has_a_range():
     given = resolve("recipe=fast")
     values = {name: select(given, name) for name in fields()}
@@ -210,6 +213,21 @@ def test_every_number_has_a_range():
     numbers = {name for name, value in values.items() if type(value) in kinds}
     words = {"loss.target_update", "collector.kind", "replay.storage"}
     assert numbers == {name for name, _ in BAD} - words
+    for name in sorted(numbers):
+        *above, last = name.split(".")
+        section = select(given, ".".join(above)) if above else given
+        for value in HUGE:
+            section[last] = value
+            with pytest.raises(ConfigError, match=rf"\b{name} = .*: must be "):
+                validate(TrainingConfig, given)
+        section[last] = values[name]
+    validate(TrainingConfig, given)
+
+
+def test_a_training_that_would_never_learn_is_refused():
+    message = r"^replay.warmup_transitions = 300: must be below collector.total_transitions = 300"
+    with pytest.raises(ConfigError, match=message):
+        typed("replay.warmup_transitions=300", "collector.total_transitions=300")
 
 
 @pytest.mark.parametrize(

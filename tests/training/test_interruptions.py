@@ -1,20 +1,19 @@
-"""Ctrl-C and SIGTERM: noted once, effective at once the second time, ignored in workers."""
+"""Ctrl-C, SIGTERM and SIGHUP: noted once, effective at once the second time, ignored in workers."""
 
 import os
 import signal
+import threading
 
 import pytest
 
-from marl_lanes.training.interruptions import ignore_interruptions, note_interruptions
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+from marl_lanes.training.interruptions import SIGNALS, ignore_interruptions, note_interruptions
 
 
 @pytest.fixture(autouse=True)
 def handlers():
     """Puts the handlers of pytest back."""
     before = [signal.getsignal(number) for number in SIGNALS]
-    yield before
+    yield list(before)
     for number, handler in zip(SIGNALS, before, strict=True):
         signal.signal(number, handler)
 
@@ -46,4 +45,40 @@ def test_a_worker_ignores_both():
     ignore_interruptions()
     for number in SIGNALS:
         os.kill(os.getpid(), number)
-    assert [signal.getsignal(one) for one in SIGNALS] == [signal.SIG_IGN] * 2
+    assert [signal.getsignal(one) for one in SIGNALS] == [signal.SIG_IGN] * 3
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_what_the_process_ignores_it_goes_on_ignoring(number):
+    """As SIGHUP under nohup."""
+    signal.signal(number, signal.SIG_IGN)
+    with note_interruptions() as received:
+        os.kill(os.getpid(), number)
+        others = [one for one in SIGNALS if one != number]
+        os.kill(os.getpid(), others[0])
+    assert received == others[:1]
+    assert signal.getsignal(number) == signal.SIG_IGN
+
+
+def test_a_handler_that_is_not_pythons_stays(monkeypatch):
+    before = [signal.getsignal(one) for one in SIGNALS]
+    monkeypatch.setattr(signal, "getsignal", lambda _: None)
+    with note_interruptions() as received:
+        pass
+    monkeypatch.undo()
+    assert received == []
+    assert [signal.getsignal(one) for one in SIGNALS] == before
+
+
+def test_in_another_thread_nothing_is_noted(handlers):
+    found = []
+
+    def note():
+        with note_interruptions() as received:
+            found.append(received)
+
+    thread = threading.Thread(target=note)
+    thread.start()
+    thread.join()
+    assert found == [[]]
+    assert [signal.getsignal(one) for one in SIGNALS] == handlers

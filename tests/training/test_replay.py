@@ -86,3 +86,13 @@ def test_a_restored_replay_goes_on_identically(tmp_path):
         draws.append(replay.sample(20))
     assert (draws[0] == draws[1]).all()
     assert one.state()["rare"]["writer"] == other.state()["rare"]["writer"]
+
+
+def test_its_files_have_their_place_on_the_disk(tmp_path):
+    """Written into a hole of a file, a full disk would end the process without a word."""
+    replay = make(tmp_path, capacity=100_000, storage="memmap")
+    replay.extend(transitions(0, 20, rare=(3,)))
+    files = [path.stat() for path in (tmp_path / "replay").rglob("*.memmap")]
+    assert len(files) >= 4
+    assert min(file.st_size for file in files) >= 25_000
+    assert all(512 * file.st_blocks >= file.st_size for file in files)

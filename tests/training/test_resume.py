@@ -1,10 +1,13 @@
 """A training state goes on exactly as before, and is read without running code."""
 
+import gc
+import zipfile
 from pathlib import Path
 
 import pytest
 import torch
 from checkpoints import OTHER_FILES, assert_runs_no_code
+from damage import assert_read_as_it_was_or_refused
 from tensordict.nn import TensorDictSequential
 from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate
@@ -88,13 +91,19 @@ def test_a_restored_training_goes_on_identically(tmp_path, overrides, capacity):
     file = tmp_path / "resume.pt"
     one = Parts(overrides, capacity=capacity)
     one.train(6)
-    save_state(file, counters={"transitions": 12.0}, **one.kept())
+    tables = {"metrics": {"size": 5, "sha256": "ab"}}
+    save_state(file, counters={"transitions": 12.0}, tables=tables, **one.kept())
     num_before = one.ends
     one.train(6)
     other = Parts(overrides, capacity=capacity, seed=99)
     content = read_state(file)
     assert content["counters"] == {"transitions": 12.0}
-    restore_state(content, **other.kept())
+    assert content["tables"] == tables
+    restore_state(file, content, **other.kept())
+    # Nothing of the file is in use any more.
+    del content
+    gc.collect()
+    assert str(file) not in Path("/proc/self/maps").read_text(encoding="utf-8")
     other.train(6)
     assert other.losses == one.losses[30:]
     assert len(set(one.losses)) > 50
@@ -115,17 +124,34 @@ def test_a_restored_training_goes_on_identically(tmp_path, overrides, capacity):
 @collector_warnings
 def test_a_state_before_the_first_transition(tmp_path):
     one = Parts(NEW)
-    save_state(tmp_path / "s.pt", counters={}, **one.kept())
+    save_state(tmp_path / "s.pt", counters={}, tables={}, **one.kept())
     one.train(3)
     other = Parts(NEW, seed=5)
     content = read_state(tmp_path / "s.pt")
     assert [ring["rows"] for ring in content["replay"].values()] == [{}, {}]
-    restore_state(content, **other.kept())
+    restore_state(tmp_path / "s.pt", content, **other.kept())
     # The roads of both begin with a reset: the snapshot was taken before the first.
     assert len(other.replay) == 0
     for key, value in one.loss.state_dict().items():
         assert other.loss.state_dict()[key].shape == value.shape, key
     one.collector.shutdown()
+
+
+@pytest.mark.training
+@collector_warnings
+def test_a_damaged_state_is_refused_or_reads_the_same(tmp_path):
+    one = Parts(NEW)
+    one.train(1)
+    save_state(tmp_path / "s.pt", counters={"a": 1.0}, tables={}, **one.kept())
+    one.collector.shutdown()
+
+    def plain(path):
+        torch.save(read_state(path), tmp_path / "again.pt")
+        with zipfile.ZipFile(tmp_path / "again.pt") as archive:
+            return [entry.CRC for entry in archive.infolist()]
+
+    found = assert_read_as_it_was_or_refused(tmp_path / "s.pt", plain, CheckpointError, 100)
+    assert found > 50
 
 
 @pytest.mark.parametrize("save", ["pickle", "torch"])
@@ -149,5 +175,39 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
 
 
 def test_a_checkpoint_is_not_a_training_state(policy_file):
-    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 5"):
+    with pytest.raises(CheckpointError, match=r"policy\.pt.*marl-lanes training state 6"):
         read_state(policy_file)
+
+
+@pytest.mark.training
+@collector_warnings
+@pytest.mark.parametrize(
+    ("part", "change", "message"),
+    [
+        ("loss", lambda value: dict(list(value.items())[1:]), "weights: "),
+        (
+            "loss",
+            lambda value: {
+                key: one.double() if "weight" in key else one for key, one in value.items()
+            },
+            "torch.float64",
+        ),
+        ("loss", 3, ""),
+        ("optimizer", {"state": {}}, ""),
+        ("replay", {}, "newest"),
+        ("workers", [], "training state of 0 workers"),
+        ("workers", [{"roads": torch.zeros(9, dtype=torch.uint8)}], ""),
+        ("random", torch.zeros(3), ""),
+    ],
+)
+def test_a_state_of_another_run_is_refused_in_a_line(tmp_path, part, change, message):
+    one = Parts(NEW)
+    save_state(tmp_path / "s.pt", counters={}, tables={}, **one.kept())
+    content = read_state(tmp_path / "s.pt")
+    content[part] = change(content[part]) if callable(change) else change
+    with pytest.raises(
+        CheckpointError, match=rf"s\.pt: does not fit this run: .*{message}"
+    ) as caught:
+        restore_state(tmp_path / "s.pt", content, **one.kept())
+    assert "\n" not in str(caught.value)
+    one.collector.shutdown()

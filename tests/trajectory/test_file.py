@@ -1,4 +1,5 @@
 import json
+import os
 
 import numpy as np
 import pandas
@@ -7,6 +8,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 import recordings
+from damage import assert_read_as_it_was_or_refused
 
 from marl_lanes import load_scenario
 from marl_lanes.trajectory.columns import COLUMNS
@@ -93,7 +95,7 @@ def test_the_file_says_units_meanings_and_what_it_is_of(file):
     assert schema.field("speed").metadata[b"unit"] == b"m/s"
     assert b"heading" in schema.field("yaw").metadata[b"meaning"]
     found = json.loads(schema.metadata[METADATA_KEY])
-    assert (found["seed"], found["policy"], found["format"]) == (0, "tuned-cascade", 1)
+    assert (found["seed"], found["policy"], found["format"]) == (0, "tuned-cascade", 2)
     assert load_scenario(found["scenario"]) == load_scenario("interactive")
 
 
@@ -139,6 +141,60 @@ def test_a_file_with_a_damaged_part_is_refused(file, tmp_path):
     (tmp_path / "damaged.parquet").write_bytes(content)
     with pytest.raises(TrajectoryError, match=r"damaged\.parquet: not readable as Parquet"):
         read_trajectory(tmp_path / "damaged.parquet")
+
+
+def test_a_file_with_a_flipped_bit_is_refused_or_reads_the_same(tmp_path):
+    recorded = recordings.paper()
+    rows = recorded.rows[recorded.rows["step"] < 5]
+    write_trajectory(tmp_path / "t.parquet", make_trajectory(recorded.metadata, [rows]))
+
+    def plain(path):
+        found = read_trajectory(path)
+        return found.metadata, found.rows.tobytes()
+
+    path = tmp_path / "t.parquet"
+    assert assert_read_as_it_was_or_refused(path, plain, TrajectoryError) > 100
+
+
+def test_other_rows_than_those_recorded_are_refused(file, tmp_path):
+    def slower(table):
+        rows = table["speed"].to_numpy().copy()
+        rows[7] = np.nextafter(rows[7], np.float32(0))
+        return replaced(table, "speed", pyarrow.array(rows))
+
+    with pytest.raises(TrajectoryError, match=r"changed\.parquet: its checksum is wrong"):
+        read_trajectory(changed(file, tmp_path, slower))
+    with pytest.raises(TrajectoryError, match="its checksum is wrong"):
+        read_trajectory(changed(file, tmp_path, lambda table: table.slice(0, 100)))
+    with pytest.raises(TrajectoryError, match="its checksum is wrong"):
+        read_trajectory(
+            changed(
+                file,
+                tmp_path,
+                lambda table: table.replace_schema_metadata(
+                    {
+                        key: value
+                        for key, value in table.schema.metadata.items()
+                        if b"sha" not in key
+                    }
+                ),
+            )
+        )
+    # What is written again unchanged is the same trajectory.
+    assert read_trajectory(changed(file, tmp_path, lambda table: table)).roads == [0]
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.parquet")
+    for path in (tmp_path / "pipe.parquet", tmp_path):
+        with pytest.raises(TrajectoryError, match="cannot be read"):
+            read_trajectory(path)
+
+
+def test_a_number_of_rows_beyond_the_memory_is_refused(file, monkeypatch):
+    monkeypatch.setattr("marl_lanes.trajectory.file._BYTES_PER_ROW", 1e12)
+    with pytest.raises(TrajectoryError, match=r"number of rows = .*GiB of memory"):
+        read_trajectory(file)
 
 
 def test_a_table_of_something_else_is_refused(tmp_path):

@@ -23,7 +23,7 @@ def test_it_comes_back():
         ("{", "not readable as JSON"),
         ("[]", "must be a mapping"),
         (100_000 * "[", "not readable as JSON"),
-        (fields(format=99), "format = 99: must be 1"),
+        (fields(format=99), "format = 99: must be 2"),
         (fields(seed="0"), "seed = '0': must be a whole number"),
         (fields(policy=None), "policy = None: must be a text"),
         (fields(scenario={"name": "x", "road": {"num_lanes": 99}}), r"road.num_lanes = 99"),

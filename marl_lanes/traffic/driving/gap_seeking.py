@@ -71,7 +71,8 @@ def travel_time(distance: float, speed: float, limit: float, top: float) -> floa
     """
     if distance < speed * abs(speed) / (2.0 * limit):
         distance, speed = -distance, -speed
-    peak = math.sqrt(limit * distance + 0.5 * speed * speed)
+    # Not below 0: rounding may make it so.
+    peak = math.sqrt(max(0.0, limit * distance + 0.5 * speed * speed))
     if peak <= top:
         return (2.0 * peak - speed) / limit
     if top <= 0.0:
@@ -120,7 +121,8 @@ def aim_at(
 ) -> tuple[float, float, float]:
     """Pace of the gap between two ranks [m/s], distances to its window and to the aim in it [m].
 
-    Without a window the first distance is inf, and the aim is midway between the crossed edges.
+    Without a window the first distance is inf, and the aim is midway between the crossed edges: inf
+    or -inf if no gap is wide enough for the one behind or ahead, 0 if for neither.
     """
     top_speed = constants.gap_speed_factor * car.desired_speed
     ahead = front if front > NONE else rear
@@ -132,8 +134,9 @@ def aim_at(
         if faster > pace:
             pace = faster
             low, high = _window(car, pace, front, rear, order, vehicles, profiles, constants)
-    if low > high:
-        return pace, math.inf, 0.5 * (low + high)
+    if low > high or low == math.inf or high == -math.inf:
+        is_neither = low == math.inf and high == -math.inf
+        return pace, math.inf, 0.0 if is_neither else 0.5 * (low + high)
     inset = min(_INSET, 0.5 * (high - low))
     return pace, min(max(0.0, low), high), min(max(0.0, low + inset), high - inset)
 

@@ -45,18 +45,76 @@ def is_overlapping(rear: Any, front: Any, constants: Any) -> bool:
 
 
 @internal
-def _record(road: Any, rear: Any, front: Any, agents: Any, record: Any, constants: Any) -> None:
-    closing = rear.speed - front.speed
-    gap_before = front.position - rear.position + closing * constants.time_step
+def _half_width(x: float, y: float, yaw: float, constants: Any) -> float:
+    """Half of a body's width along the axis (x, y), times the axis's length."""
+    along, across = math.cos(yaw), math.sin(yaw)
+    length, width = abs(x * along + y * across), abs(y * along - x * across)
+    return 0.5 * float(constants.vehicle_length * length + constants.vehicle_width * width)
+
+
+@internal
+def _moves_aside(car: Any, constants: Any) -> float:
+    """Change of the lateral position in the step [m]."""
+    return float(car.speed * math.sin(car.yaw) * constants.time_step)
+
+
+@internal
+def _is_far(along: float, across: float, constants: Any) -> bool:
+    """Whether a relative motion is so long that only looking along it finds every contact.
+
+    It is more than a body's length along the road, or half its width across.
+    """
+    return bool(
+        abs(along) > constants.vehicle_length or abs(across) > 0.5 * constants.vehicle_width
+    )
+
+
+@compiled
+def is_crossing(rear: Any, front: Any, along: float, across: float, constants: Any) -> bool:
+    """Whether the two rectangles overlap anywhere in the step.
+
+    As in the step, they first turn and then move. Separating axes of a segment, the way of the
+    centre of ``front`` relative to ``rear``, and the sum of both rectangles.
+
+    Args:
+        rear: one vehicle, after the step.
+        front: the other one.
+        along: how far ``front`` moved along the road, relative to ``rear`` [m].
+        across: the same across the road [m].
+        constants: of the scenario.
+    """
+    ahead = front.position - rear.position
+    beside = front.lateral_position - rear.lateral_position
+    for axis in range(5):
+        if axis == 0:
+            x, y = -across, along
+        else:
+            yaw = rear.yaw if axis < 3 else front.yaw
+            x, y = math.cos(yaw), math.sin(yaw)
+            if axis % 2 == 0:
+                x, y = -y, x
+        reach = _half_width(x, y, rear.yaw, constants) + _half_width(x, y, front.yaw, constants)
+        after = x * ahead + y * beside
+        before = after - (x * along + y * across)
+        if min(before, after) >= reach or max(before, after) <= -reach:
+            return False
+    return True
+
+
+@internal
+def _record(
+    road: Any, rear: Any, front: Any, before: float, agents: Any, record: Any, constants: Any
+) -> None:
+    """Fill in a record; |before| is their distance along the road before the step [m]."""
     record.step = road.step
     record.rear_id = rear.id
     record.front_id = front.id
     record.rear_command = NONE if rear.agent == NONE else agents[rear.agent].command
     record.front_command = NONE if front.agent == NONE else agents[front.agent].command
     # They were side by side a step ago, so the contact is lateral.
-    record.kind = _SIDE if abs(gap_before) < constants.vehicle_length else _REAR_END
+    record.kind = _SIDE if abs(before) < constants.vehicle_length else _REAR_END
     record.position = rear.position
-    record.closing_speed = closing
+    record.closing_speed = rear.speed - front.speed
 
 
 @internal
@@ -64,21 +122,38 @@ def _compare(
     road: Any,
     rank: int,
     reach: float,
+    is_swept: bool,
     vehicles: Any,
     order: Any,
     agents: Any,
     collisions: Any,
     constants: Any,
 ) -> None:
-    """Record the vehicles within ``reach`` behind the one at ``rank`` that overlap with it."""
+    """Record the vehicles within ``reach`` behind the one at ``rank`` that collide with it.
+
+    ``is_swept``: whether there may be contacts that only looking along the step finds.
+    """
     front = vehicles[order[rank]]
     for behind in range(rank + 1, road.num_vehicles):
         rear = vehicles[order[behind]]
-        if front.position - rear.position >= reach:
+        ahead = front.position - rear.position
+        if ahead >= reach:
             break
-        if is_overlapping(rear, front, constants):
-            newest = road.num_collisions % collisions.shape[0]
-            _record(road, rear, front, agents, collisions[newest], constants)
+        before = ahead + (rear.speed - front.speed) * constants.time_step
+        is_hit, has_passed = is_overlapping(rear, front, constants), False
+        if is_swept:
+            along = front.advance - rear.advance
+            across = _moves_aside(front, constants) - _moves_aside(rear, constants)
+            if _is_far(along, across, constants):
+                has_passed = ahead < along
+                if not is_hit:
+                    before = ahead - along
+                    is_hit = is_crossing(rear, front, along, across, constants)
+        if is_hit:
+            record = collisions[road.num_collisions % collisions.shape[0]]
+            # The rear one is the one that was behind before the step.
+            first, second = (front, rear) if has_passed else (rear, front)
+            _record(road, first, second, before, agents, record, constants)
             road.num_collisions += 1
             rear.fate = COLLIDES
             front.fate = COLLIDES
@@ -86,9 +161,20 @@ def _compare(
 
 @internal
 def detect_collisions(
-    road: Any, vehicles: Any, order: Any, agents: Any, collisions: Any, constants: Any
+    road: Any,
+    along: float,
+    across: float,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    collisions: Any,
+    constants: Any,
 ) -> bool:
-    """Record every overlapping pair and mark both vehicles.
+    """Record every pair that collides in the step, and mark both vehicles.
+
+    A pair collides if it overlaps after the step or, where ``_is_far`` holds for its relative
+    motion, anywhere in the step. ``along`` and ``across`` are the longest relative motions of any
+    two vehicles [m].
 
     Returns:
         Whether there is such a pair.
@@ -96,12 +182,17 @@ def detect_collisions(
     num_before = road.num_collisions
     length, width = constants.vehicle_length, constants.vehicle_width
     reach = math.sqrt(length * length + width * width)
+    is_swept = _is_far(along, across, constants)
+    if is_swept:
+        reach += along
     position = vehicles[order[0]].position
     for rank in range(1, road.num_vehicles):
         ahead = position
         position = vehicles[order[rank]].position
         if ahead - position < reach:
-            _compare(road, rank - 1, reach, vehicles, order, agents, collisions, constants)
+            _compare(
+                road, rank - 1, reach, is_swept, vehicles, order, agents, collisions, constants
+            )
     return bool(road.num_collisions > num_before)
 
 

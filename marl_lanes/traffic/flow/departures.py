@@ -46,6 +46,7 @@ def _place(car: Any, lane: int, lane_record: Any, profiles: Any, arcs: Any, cons
     car.lateral_position = lane_centre(lane, constants.lane_width)
     car.speed = lane_record.next_speed
     car.acceleration = 0.0
+    car.advance = 0.0
     car.yaw = 0.0
     car.yaw_acceleration = 0.0
     car.profile = lane_record.next_profile
@@ -61,6 +62,27 @@ def _place(car: Any, lane: int, lane_record: Any, profiles: Any, arcs: Any, cons
 
 
 @internal
+def _next_due(
+    lanes: Any, last: int, last_time: float, now: float, is_crowded: bool
+) -> tuple[int, float]:
+    """The lane after ``last`` whose vehicle is due: by time if it is crowded, else by number.
+
+    Returns:
+        The lane, and the time that orders it: when its vehicle was due, or 0.
+    """
+    chosen, least = NONE, math.inf
+    for lane in range(lanes.shape[0]):
+        due = lanes[lane].next_departure
+        if now < due:
+            continue
+        time = due if is_crowded else 0.0
+        is_later = time > last_time or (time == last_time and lane > last)
+        if is_later and time < least:
+            chosen, least = lane, time
+    return chosen, least
+
+
+@internal
 def depart(
     road: Any,
     lanes: Any,
@@ -72,12 +94,24 @@ def depart(
     dispositions: Any,
     arcs: Any,
 ) -> None:
-    """Let the vehicles that are due enter if there is room; the others wait."""
+    """Let the vehicles that are due enter if there is room; the others wait.
+
+    They enter lane by lane from the right; where there are not enough free slots for all, the
+    vehicle that has waited longest enters first.
+    """
     now = road.step * constants.time_step
+    num_due = 0
     for lane in range(lanes.shape[0]):
-        num_taken = road.num_vehicles + road.num_removed
-        if now < lanes[lane].next_departure or num_taken == vehicles.shape[0]:
-            continue
+        if now >= lanes[lane].next_departure:
+            num_due += 1
+    num_free = vehicles.shape[0] - road.num_vehicles - road.num_removed
+    is_crowded = num_due > num_free
+    lane, time = NONE, -math.inf
+    for untried in range(num_due, 0, -1):
+        if num_free == 0:
+            road.num_held_back += untried
+            return
+        lane, time = _next_due(lanes, lane, time, now, is_crowded)
         slot = 0
         while vehicles[slot].id != NONE or vehicles[slot].fate != _STAYS:
             slot += 1
@@ -92,6 +126,7 @@ def depart(
         car.disposition = choice(road, dispositions)
         car.command_position = uniform(road, constants.command_low, constants.command_high)
         order[count] = slot
+        num_free -= 1
         road.num_vehicles += 1
         road.num_entered += 1
         schedule(road, lanes[lane], now, profiles, constants)
@@ -107,7 +142,7 @@ def clear_road(road: Any, lanes: Any, vehicles: Any, profiles: Any, constants: A
     warmup = uniform(road, constants.warmup_low, constants.warmup_high)
     road.step = -math.ceil(warmup / constants.time_step)
     road.num_vehicles = road.num_entered = road.num_left = road.num_off_road = 0
-    road.num_removed = 0
+    road.num_removed = road.num_held_back = 0
     road.num_collided = road.num_collisions = 0
     road.num_moves_over = road.num_moves_returned = 0
     road.num_commands = road.num_live = road.num_ended = road.is_done = road.is_cut = 0

@@ -90,6 +90,7 @@ VEHICLE: Table = (
     ("yaw_acceleration", "f8", "rad/s^2", "applied in the last step: change of yaw_rate/dt"),
     ("desired_speed", "f8", "m/s", "v0 of the car-following law"),
     ("command_position", "f8", "m", "where it may be commanded; inf once that is decided"),
+    ("advance", "f8", "m", "change of position in the last step"),
     ("id", "i8", "1", "serial number on this road; -1 where the slot is empty"),
     (
         "moving_over",
@@ -148,6 +149,12 @@ ROAD: Table = (
     ("step", "i8", "step", "steps since the warm-up ended; negative before"),
     ("num_vehicles", "i8", "1", "on the road"),
     ("num_entered", "i8", "1", "vehicles that entered since the reset"),
+    (
+        "num_held_back",
+        "i8",
+        "1",
+        "steps that due vehicles waited because max_vehicles were on the road, over all lanes",
+    ),
     ("num_left", "i8", "1", "vehicles that left at the road's end, or off the road"),
     ("num_off_road", "i8", "1", "those of num_left that left off the road"),
     ("num_collided", "i8", "1", "vehicles removed by a collision"),

@@ -31,11 +31,16 @@ def curvature_at(arcs: Any, position: float) -> float:
 
 @compiled
 def road_turn_rate(car: Any, arcs: Any) -> float:
-    """The road's turning under the car: c s' with s' = v cos(psi)/(1 - c d) [rad/s]."""
+    """The road's turning under the car: c s' with s' = v cos(psi)/(1 - c d) [rad/s].
+
+    1 - c d is above 0.5 on the road. It is not below 0.5 beside it: near the arc's centre the
+    turning would be without bound.
+    """
     curvature = curvature_at(arcs, car.position)
     if curvature == 0.0:
         return 0.0
-    progress = car.speed * math.cos(car.yaw) / (1.0 - curvature * car.lateral_position)
+    stretch = max(1.0 - curvature * car.lateral_position, 0.5)
+    progress = car.speed * math.cos(car.yaw) / stretch
     return float(curvature * progress)
 
 
@@ -51,6 +56,12 @@ def _read_turning(cars: Any, arcs: Any, curvature: Any, turn_rate: Any) -> None:
     for index in range(cars.shape[0]):
         curvature[index] = curvature_at(arcs, cars[index].position)
         turn_rate[index] = road_turn_rate(cars[index], arcs)
+
+
+@compiled
+def wrap_angle(angle: float) -> float:
+    """The same angle in (-pi, pi] [rad]."""
+    return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))
 
 
 @compiled

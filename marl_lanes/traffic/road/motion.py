@@ -27,7 +27,8 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
     car.speed = speed
     # Most vehicles go straight: one comparison instead of four.
     if abs(car.yaw) + abs(car.yaw_rate) + abs(car.yaw_acceleration) + abs(turn_rate) == 0.0:
-        car.position += speed * step
+        car.advance = speed * step
+        car.position += car.advance
         return half_extent(0.0, constants)
     fastest = speed / constants.min_turning_radius
     yaw_rate = car.yaw_rate + car.yaw_acceleration * step
@@ -39,7 +40,8 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
     sine, cosine = math.sin(car.yaw), math.cos(car.yaw)
     curvature = curvature_at(arcs, car.position)
     progress = speed * cosine / (1.0 - curvature * car.lateral_position)
-    car.position += progress * step
+    car.advance = progress * step
+    car.position += car.advance
     car.lateral_position += speed * sine * step
     extent = turned_extent(sine, cosine, constants)
     occupy(car, extent, constants)

@@ -13,7 +13,7 @@ from marl_lanes.traffic.command.phases import is_steering, lateral_deviation
 from marl_lanes.traffic.driving.acceleration import car_following
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import AGENT, NONE, Outcome
-from marl_lanes.traffic.road.geometry import curvature_at
+from marl_lanes.traffic.road.geometry import curvature_at, wrap_angle
 from marl_lanes.traffic.roles.role import (
     Dimension,
     Feature,
@@ -94,8 +94,8 @@ FEATURES = (
     ),
     Feature(
         *("yaw", "rad", 0.0, 0.03, -math.pi, math.pi),
-        "relative to the road",
-        lambda agent, car, scene: agent.direction * car.yaw,
+        "relative to the road, in (-pi, pi]",
+        lambda agent, car, scene: wrap_angle(agent.direction * car.yaw),
     ),
     Feature(
         *("yaw_rate", "rad/s", 0.0, 0.03, -150.0, 150.0),
@@ -168,8 +168,8 @@ FEATURES = (
         lambda agent, car, scene: scene.constants.road_length - car.position,
     ),
 )
-"""Every feature that a scenario may name. Gaps are at most the scenario's ``sensor_range``.
-Without a neighbor the gap is ``sensor_range`` and the relative speed 0."""
+"""Every feature that a scenario may name, clipped to its bounds. Gaps are at most the scenario's
+``sensor_range``. Without a neighbor the gap is ``sensor_range`` and the relative speed 0."""
 
 
 class Step(NamedTuple):

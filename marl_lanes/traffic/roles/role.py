@@ -34,6 +34,7 @@ class Feature(NamedTuple):
     scale: float
     """Typical spread, for networks."""
     low: float
+    """Bounds of the space; a value beyond them is observed as the bound."""
     high: float
     meaning: str
     formula: Formula
@@ -147,7 +148,7 @@ def _bounds(rows: Sequence[Feature] | Sequence[Dimension]) -> Bounds:
 
 def make_observer(features: Sequence[Feature]) -> Callable[..., None]:
     """The kernel ``observe(codes, seen, *what)``: sets ``seen[i]`` to the feature ``codes[i]``."""
-    value_of = _chosen([internal(feature.formula) for feature in features])
+    value_of = _chosen([_bounded(feature) for feature in features])
 
     @internal
     def observe(codes: Any, seen: Any, *what: Any) -> None:
@@ -155,6 +156,17 @@ def make_observer(features: Sequence[Feature]) -> Callable[..., None]:
             seen[column] = value_of(codes[column], *what)
 
     return observe
+
+
+def _bounded(feature: Feature) -> Formula:
+    """The kernel of the feature's value, clipped to its bounds."""
+    formula, low, high = internal(feature.formula), feature.low, feature.high
+
+    @internal
+    def value(*what: Any) -> float:
+        return min(max(float(formula(*what)), low), high)
+
+    return value
 
 
 def _chosen(formulas: Sequence[Formula], first: int = 0) -> Formula:

@@ -50,6 +50,7 @@ class ActorNetwork(nn.Module):
             out_features=self.box.low.numel(),
             num_cells=self.hidden_sizes,
             activation_class=nn.ReLU,
+            layer_kwargs={"dtype": torch.float32},
         )
         last = self.layers[-1]
         with torch.no_grad():
@@ -102,6 +103,7 @@ class CriticNetwork(nn.Module):
             out_features=1,
             num_cells=list(hidden_sizes),
             activation_class=nn.ReLU,
+            layer_kwargs={"dtype": torch.float32},
         )
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:

@@ -48,7 +48,7 @@ class NoisyActor:
             action_key=(group, "action"),
             sigma_init=config.initial_sigma,
             sigma_end=config.final_sigma,
-        )
+        ).to(torch.float32)
         # Sigma is a share of the half range, whatever the action's unit.
         self.noise.std = network.box.half_range.to(CPU, copy=True)
         self.noise.std[1:] *= config.longitudinal_factor

@@ -15,7 +15,7 @@ from marl_lanes.naf.joined import join_parameters
 from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.naf.updater import ForeachSoftUpdate
-from marl_lanes.scenario.fields import Positive, Real, Section
+from marl_lanes.scenario.fields import Real, Section
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.exploration import NoisyActor
@@ -24,6 +24,7 @@ from marl_lanes.training.config import (
     CountOrZero,
     DistributedCollectorConfig,
     LearnerConfig,
+    Magnitude,
     Number,
     OptimizerConfig,
     Widths,
@@ -45,7 +46,7 @@ class NAFLossConfig(Section):
 class NAFOptimizerConfig(OptimizerConfig):
     """Adam for M and V, and for mu; the step sizes fall through stage two."""
 
-    mu_learning_rate: Positive = Field(
+    mu_learning_rate: Magnitude = Field(
         description="step size of mu: smaller, V keeps up with the policy that it has to value"
     )
     pretraining_transitions: CountOrZero = Field(

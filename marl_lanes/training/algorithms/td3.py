@@ -12,12 +12,19 @@ from torchrl.modules import ValueOperator
 from torchrl.objectives import SoftUpdate, TD3Loss
 
 from marl_lanes.envs.batched import LaneChangeEnv
-from marl_lanes.scenario.fields import NonNegative, Positive, Real, Section
+from marl_lanes.scenario.fields import Real, Section
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork, CriticNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.exploration import NoisyActor
-from marl_lanes.training.config import LearnerConfig, Number, OptimizerConfig, Widths
+from marl_lanes.training.config import (
+    LearnerConfig,
+    Magnitude,
+    Number,
+    OptimizerConfig,
+    Sigma,
+    Widths,
+)
 from marl_lanes.training.transitions import CPU
 
 NUM_CRITICS = 2
@@ -32,13 +39,11 @@ class TD3LossConfig(Section):
     distance: Literal["l1", "l2", "smooth_l1"] = Field(
         description="of the critics from their target: l1, l2 or smooth_l1"
     )
-    target_noise: NonNegative = Field(
+    target_noise: Sigma = Field(
         description="standard deviation of the noise on the target actor's action, of each half "
         "range [1]"
     )
-    target_noise_bound: NonNegative = Field(
-        description="to which it is clipped, of each half range [1]"
-    )
+    target_noise_bound: Sigma = Field(description="to which it is clipped, of each half range [1]")
     actor_interval: Number = Field(
         description="updates of the critics for one of the actor and of the targets"
     )
@@ -47,7 +52,7 @@ class TD3LossConfig(Section):
 class TD3OptimizerConfig(OptimizerConfig):
     """Adam for the critics, and for the actor."""
 
-    actor_learning_rate: Positive = Field(description="step size of the actor")
+    actor_learning_rate: Magnitude = Field(description="step size of the actor")
 
 
 class TD3NetworkConfig(Section):
@@ -120,6 +125,8 @@ class TD3(Algorithm):
             loss_function=config.loss.distance,
         )
         self.loss.make_value_estimator(gamma=config.loss.gamma, device=device)
+        # Its gamma has torch's default dtype, which may be another than that of the networks.
+        self.loss.value_estimator.to(box.low.dtype)
         self.target_updater = SoftUpdate(self.loss, tau=config.loss.tau)
         self.critic_parameters = _parameters(self.loss.qvalue_network_params)
         self.actor_parameters = _parameters(self.loss.actor_network_params)

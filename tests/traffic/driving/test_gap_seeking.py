@@ -7,8 +7,8 @@ import pytest
 from staging import command, damped_actions, stage
 
 from marl_lanes.scenario import load_scenario
-from marl_lanes.traffic.driving.gap_seeking import needed_gap, travel_time
-from marl_lanes.traffic.machine.compiled import on_columns
+from marl_lanes.traffic.driving.gap_seeking import aim_at, needed_gap, travel_time
+from marl_lanes.traffic.machine.compiled import compiled, on_columns
 from marl_lanes.traffic.machine.state import Outcome, Phase
 from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.traffic.simulator import Simulator
@@ -168,6 +168,41 @@ def test_in_dense_traffic_waiting_drivers_find_gaps_without_hard_braking():
     assert outcomes.count(Outcome.MISSED) <= 12
     assert outcomes.count(Outcome.COMPLETED) >= 388
     assert hardest < 4.5
+
+
+@pytest.mark.parametrize("form", ["max", "sum", "acc"])
+@pytest.mark.parametrize("phase", [Phase.WAITING, Phase.ENGAGED])
+@pytest.mark.parametrize("places", [(230.0,), (150.0,), (230.0, 150.0)])
+def test_where_no_gap_is_wide_enough_for_a_driver_the_acceleration_is_finite(form, phase, places):
+    """Drivers three times as fast as they wish accept no gap: the windows are infinitely far."""
+    hasty = {"desired_speed": 8.0}
+    acceleration = waiting(
+        *({**there(place, 24.0), **hasty} for place in places),
+        own={**hasty, "speed": 24.0},
+        phase=phase,
+        drivers={"car_following": form},
+    )
+    assert -8.0 <= acceleration <= 2.0
+
+
+@compiled
+def aims(simulated, front, rear, order, profiles, constants):
+    return aim_at(simulated[0], front, rear, order, simulated, profiles, constants)
+
+
+@pytest.mark.parametrize(
+    ("front", "rear", "aim"), [(0, -1, -math.inf), (-1, 2, math.inf), (0, 2, 0.0)]
+)
+def test_without_a_gap_wide_enough_the_aim_is_away_from_who_needs_it(front, rear, aim):
+    """At twice its v0 or more no driver accepts a gap, whichever side it is on."""
+    simulator = simulator_of(drivers={"car_following": "sum"}, gap={"speed_factor": 2.0})
+    hasty = {"speed": 24.0, "desired_speed": 8.0}
+    places = [{"lane": 2, "position": place, **hasty} for place in (230.0, 150.0)]
+    stage(simulator, {"lane": 1, "position": 200.0, **hasty}, *places)
+    profiles, constants = simulator.parameters.profiles, simulator.parameters.constants[0]
+    order = simulator.state.order[0]
+    _, way, found = aims(simulator.vehicles[0], front, rear, order, profiles, constants)
+    assert (way, found) == (math.inf, aim)
 
 
 @pytest.mark.parametrize(("closing", "gap"), [(-4.0, 10.0), (0.0, 10.0), (0.5, 10.03125)])

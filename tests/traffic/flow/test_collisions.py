@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from reference.geometry import overlap_area
+from reference.geometry import hull, overlap_area
 from reference.records import Car
 from reference.road import Road
 from staging import command, simulator_of, stage
 
-from marl_lanes.traffic.flow.collisions import is_overlapping
+from marl_lanes.traffic.flow.collisions import is_crossing, is_overlapping
 from marl_lanes.traffic.machine.state import NUM_COLLISION_RECORDS, CollisionKind, Outcome
 from marl_lanes.traffic.roles.changer import CHANGER
 
@@ -44,6 +44,83 @@ def test_overlap_agrees_with_polygon_clipping():
         assert is_hit == is_overlapping(front, rear, constants)
         counts[is_hit] += 1
     assert min(counts) > 800
+
+
+def test_crossing_agrees_with_clipping_the_hull_of_the_way():
+    simulator = simulator_of()
+    constants = simulator.parameters.constants[0]
+    rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
+    generator = np.random.default_rng(1)
+    counts = [0, 0]
+    for trial in range(3000):
+        yaws = generator.uniform(-1.5, 1.5, 2) if trial % 4 else np.zeros(2)
+        set_pose(rear, 0.0, 5.0, yaws[0])
+        set_pose(front, generator.uniform(-9.0, 9.0), generator.uniform(-4.0, 14.0), yaws[1])
+        along, across = generator.uniform(-15.0, 15.0), generator.uniform(-9.0, 9.0)
+        body = corners(simulator, front)
+        way = hull(body + [(x - along, y - across) for x, y in body])
+        is_hit = bool(overlap_area(way, corners(simulator, rear)) > 0.0)
+        assert is_crossing(rear, front, along, across, constants) == is_hit
+        assert is_crossing(front, rear, -along, -across, constants) == is_hit
+        counts[is_hit] += 1
+    assert min(counts) > 500
+
+
+FAST = {"time_step": 0.5, "lane_keeping": {"pole": 1.0}}
+"""Steps in which a vehicle moves by several lengths."""
+
+
+@pytest.mark.parametrize(
+    ("position", "ahead", "lane", "is_hit"),
+    [
+        (100.0, 10.0, 1, True),
+        (100.0, 10.0, 2, False),
+        # Too far ahead to be reached: the fast one ends 5 m behind it.
+        (100.0, 33.0, 1, False),
+        # Just entered, and over the road's end in the same step.
+        (0.0, 10.0, 1, True),
+        (985.0, 10.0, 1, True),
+    ],
+)
+def test_a_vehicle_that_drives_through_another_in_a_step_collides_with_it(
+    position, ahead, lane, is_hit
+):
+    simulator = simulator_of(**FAST)
+    stage(
+        simulator,
+        {"lane": 1, "position": position, "speed": 60.0, "id": 71},
+        {"lane": lane, "position": position + ahead, "speed": 0.0, "id": 72},
+    )
+    simulator.step()
+    assert simulator.roads["num_collided"][0] == (2 if is_hit else 0)
+    if is_hit:
+        record = newest(simulator)
+        assert (record["rear_id"], record["front_id"]) == (71, 72)
+        assert record["kind"] == CollisionKind.REAR_END
+        # The fast one brakes with 8 m/s^2, the other one accelerates with 2 m/s^2 or less.
+        assert record["closing_speed"] == pytest.approx(56.0 - 1.0, abs=0.1)
+        assert record["position"] == pytest.approx(position + 0.5 * 56.0)
+
+
+@pytest.mark.parametrize(("offset", "is_hit"), [(0.0, True), (-3.0, True), (9.0, False)])
+def test_a_vehicle_that_crosses_a_neighbor_sideways_in_a_step_collides_with_it(offset, is_hit):
+    simulator = simulator_of(**FAST, road={"num_lanes": 5})
+    turned = {"yaw": 0.9, "yaw_rate": 0.0, "speed": 30.0}
+    stage(
+        simulator,
+        {"lane": 0, "position": 100.0, "id": 71, **turned, "lateral_position": 3.0},
+        {"lane": 1, "position": 100.0 - offset, "speed": 20.0, "id": 72, "lateral_position": 6.8},
+    )
+    simulator.step()
+    crossing, other = simulator.vehicles[0, :2]
+    assert crossing["lateral_position"] - other["lateral_position"] > 3.2
+    constants = simulator.parameters.constants[0]
+    assert not is_overlapping(crossing, other, constants)
+    assert simulator.roads["num_collided"][0] == (2 if is_hit else 0)
+    if is_hit:
+        record = newest(simulator)
+        assert record["kind"] == CollisionKind.SIDE
+        assert {record["rear_id"], record["front_id"]} == {71, 72}
 
 
 def test_touching_is_not_overlapping():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from staging import assert_conserved, present
+from staging import assert_conserved, present, stage
 
 from marl_lanes.traffic.simulator import Simulator
 
@@ -44,6 +44,50 @@ def test_a_full_road_makes_departures_wait():
         assert (simulator.roads["num_vehicles"] <= 6).all()
     assert (simulator.roads["num_left"] > 6).all()
     assert_conserved(simulator)
+
+
+def test_a_free_place_is_for_the_vehicle_that_has_waited_longest():
+    simulator = Simulator("paper", overrides={**NO_COMMANDS, "warmup": [0.0, 0.0]})
+    simulator.reset()
+    places = {"lane": 1, "position": 500.0}
+    stage(simulator, *({**places, "position": 500.0 + 8.0 * n} for n in range(63)))
+    simulator.state.lanes[0]["next_departure"] = [-1.0, -3.0, -2.0]
+    simulator.step()
+    entered = simulator.vehicles[0, simulator.vehicles[0]["id"] == 63]
+    assert entered["lane"].tolist() == [1]
+    # Two lanes waited one step, then all three a second one.
+    assert simulator.roads["num_held_back"][0] == 2
+    simulator.state.lanes[0]["next_departure"][1] = 0.0
+    simulator.step()
+    assert simulator.roads["num_held_back"][0] == 5
+
+
+def test_no_lane_starves_and_it_is_said_that_the_road_was_full(caplog):
+    overrides = {**NO_COMMANDS, "departures": {"interval": [1.0, 1.5]}, "max_vehicles": 20}
+    simulator = Simulator("paper", 4, overrides={**overrides, "warmup": [0.0, 0.0]})
+    simulator.reset()
+    assert not caplog.records
+    lanes = np.zeros(3, int)
+    for _ in range(1500):
+        before = simulator.roads["num_entered"].copy()
+        simulator.step()
+        lanes += np.bincount(
+            simulator.vehicles["lane"][simulator.vehicles["id"] >= before[:, None]], minlength=3
+        )
+    assert lanes.min() > 0.9 * lanes.max() > 50
+    assert (simulator.roads["num_held_back"] > 1000).all()
+    for _ in range(2):
+        simulator.reset()
+    (record,) = caplog.records
+    assert "max_vehicles = 20 were on a road" in record.getMessage()
+
+
+def test_the_shipped_scenario_has_a_place_for_every_departure():
+    simulator = Simulator("paper", 40, overrides=NO_COMMANDS)
+    simulator.reset()
+    for _ in range(300):
+        simulator.step()
+    assert not simulator.roads["num_held_back"].any()
 
 
 def test_departures_follow_the_scenario():

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from staging import stage
+from staging import simulator_of, stage
 
 from marl_lanes.traffic.simulator import Simulator
 
@@ -111,3 +111,20 @@ def test_alone_on_the_road_a_driver_reaches_the_desired_speed(form):
     assert len(cars) > 0
     assert cars["speed"].max() == pytest.approx(25.0, abs=0.01)
     assert (cars["speed"] <= 25.0).all()
+
+
+@pytest.mark.parametrize("form", ["max", "sum", "acc"])
+@pytest.mark.parametrize(
+    ("gap", "speed", "expected"),
+    # Behind a vehicle that stands: the physical limit, or what stops the driver in the step.
+    [(0.0, 10.0, -8.0), (0.0, 0.5, -5.0), (0.0, 0.0, 0.0), (1e-9, 10.0, -8.0)],
+)
+def test_at_no_gap_the_driver_brakes_at_the_limit(form, gap, speed, expected):
+    simulator = simulator_of(drivers={"car_following": form})
+    stage(
+        simulator,
+        {"lane": 1, "position": 104.8 + gap, "speed": 0.0, "desired_speed": 1e-9},
+        {"lane": 1, "position": 100.0, "speed": speed},
+    )
+    simulator.step()
+    assert simulator.vehicles[0, 1]["acceleration"] == pytest.approx(expected)

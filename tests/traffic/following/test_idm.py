@@ -94,3 +94,36 @@ def test_the_acc_model_by_hand():
     # 0.01 * -10 + 0.99 (-0.5 + 1.5 tanh(-9.5/1.5))
     assert acc_acceleration(-10.0, -0.5, 1.5, 0.99) == pytest.approx(-2.0799906, abs=1e-6)
     assert acc_acceleration(-10.0, -0.5, 1.5, 0.0) == -10.0
+
+
+@pytest.mark.parametrize(
+    ("speed", "gap", "closing", "expected"),
+    [
+        # Standstill at no gap, or at a negative one: (5/0.01)^2 = 250,000; 2 (1 - 250,000).
+        (0.0, 0.0, 0.0, -499_998.0),
+        (0.0, -4.8, 0.0, -499_998.0),
+        # Standstill at s0: 2 (1 - 1).
+        (0.0, 5.0, 0.0, 0.0),
+        # Nobody ahead, at half of v0: 2 (1 - 1/16). At v0: 0. At twice v0: 2 (1 - 16).
+        (10.0, math.inf, 0.0, 1.875),
+        (20.0, math.inf, 0.0, 0.0),
+        (40.0, math.inf, 0.0, -30.0),
+        (0.0, math.inf, 0.0, 2.0),
+        # No gap at 10 m/s behind a vehicle at a standstill: s* = 5 + 10 + 100/3.4641.
+        (10.0, 0.0, 10.0, 2.0 * (1.0 - ((15.0 + 100.0 / SCALE) / 0.01) ** 2)),
+    ],
+)
+def test_extremes_by_hand(speed, gap, closing, expected):
+    """a_m = 2, v0 = 20, s0 = 5, T = 1: finite for every gap and speed."""
+    free = free_road_term(speed, 20.0, 4.0)
+    term = interaction_term(speed, gap, closing, 5.0, 1.0, SCALE)
+    assert idm_acceleration(2.0, free, term, 0) == pytest.approx(expected)
+
+
+def test_the_smallest_desired_speed_and_the_largest_exponent_give_a_finite_number():
+    free = free_road_term(70.0, 0.1, 20.0)
+    assert free == pytest.approx(700.0**20)
+    braking = idm_acceleration(10.0, free, 0.0, 1)
+    assert braking == pytest.approx(-(700.0**20) * 10.0)
+    # With the coolness 1 nothing of it is left: a_CAH - b.
+    assert acc_acceleration(braking, -1.0, 1.5, 1.0) == pytest.approx(-2.5)

@@ -6,25 +6,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from forking import exit_code_of_child
 
 from marl_lanes import Simulator
 from marl_lanes.traffic.machine import threads
 from marl_lanes.traffic.machine.threads import RoadThreads, count_processors
-
-
-def exit_code_of_child(work):
-    """0 if ``work`` returns true in a forked process."""
-    child = os.fork()
-    if child == 0:
-        try:
-            os._exit(0 if work() else 1)
-        finally:
-            os._exit(2)
-    stuck = threading.Timer(60.0, os.kill, (child, 9))
-    stuck.start()
-    _, status = os.waitpid(child, 0)
-    stuck.cancel()
-    return os.waitstatus_to_exitcode(status)
 
 
 @pytest.mark.parametrize(("num_roads", "num_threads"), [(1, 1), (7, 3), (8, 8)])

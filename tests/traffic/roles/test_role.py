@@ -46,8 +46,8 @@ def test_bounds_and_codes_are_those_of_the_scenario():
     assert (low.tolist(), high.tolist()) == ([-3.0], [3.0])
 
 
-def feature(name, formula):
-    return Feature(name, "1", 0.0, 1.0, -1.0, 1.0, "", formula)
+def feature(name, formula, high=100.0):
+    return Feature(name, "1", 0.0, 1.0, -1.0, high, "", formula)
 
 
 def test_features_are_written_in_the_order_of_their_codes():
@@ -62,6 +62,19 @@ def test_features_are_written_in_the_order_of_their_codes():
     seen = np.zeros(4, np.float32)
     look(np.array([2, 1, 0, 1], np.int32), seen, 3.0, 5.0)
     assert seen.tolist() == [3.0, 15.0, 8.0, 15.0]
+
+
+@pytest.mark.parametrize(("value", "seen"), [(-9.0, -1.0), (-1.0, -1.0), (2.0, 2.0), (9.0, 3.0)])
+def test_a_feature_beyond_its_bounds_is_observed_as_the_bound(value, seen):
+    observe = make_observer([feature("x", lambda x: x, high=3.0)])
+
+    @compiled
+    def look(codes, seen, x):
+        observe(codes, seen, x)
+
+    found = np.zeros(1, np.float32)
+    look(np.zeros(1, np.int32), found, value)
+    assert found.tolist() == [seen]
 
 
 def test_terms_are_weighted_summed_and_added_up_over_time():

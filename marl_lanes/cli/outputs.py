@@ -1,0 +1,96 @@
+"""Files that a command writes, checked before anything is computed."""
+
+import os
+from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from marl_lanes.extras import need
+from marl_lanes.scenario.messages import shown
+
+Outputs = Sequence[tuple[str, Path | None]]
+"""Each option with the file that it names, or None."""
+
+
+def check_outputs(outputs: Outputs, inputs: Iterable[str | Path | None]) -> None:
+    """Reject files that cannot be written, or that would replace another file of the command.
+
+    Args:
+        outputs: what the command writes.
+        inputs: files that it reads; what is no file (a name, None) is passed over.
+
+    Raises:
+        ValueError: a file is a folder, is in no folder that can be written, is read by the command,
+            or is the same as another one.
+    """
+    taken = {Path(one).resolve(): "read" for one in inputs if one and _is_file(one)}
+    for option, path in outputs:
+        if path is None:
+            continue
+        place = f"{option} {path}" if len(str(path)) < 1000 else f"{option} {shown(str(path))}"
+        try:
+            target = path.resolve()
+            reason = _find_obstacle(path)
+        except (OSError, RuntimeError) as error:  # a name too long; links in a circle
+            reason = (getattr(error, "strerror", None) or "links in a circle").lower()
+        if reason is not None:
+            raise ValueError(f"{place}: {reason}")
+        # A pipe or a device may be given twice.
+        if not path.exists() or path.is_file():
+            if target in taken:
+                raise ValueError(f"{place}: must be another file: it is {taken[target]}, too")
+            taken[target] = f"that of {option}"
+
+
+def check_figures(figures: Sequence[Path]) -> None:
+    """Reject figures that cannot be drawn.
+
+    Args:
+        figures: the values of --figure.
+
+    Raises:
+        ValueError: no figure can have a file's name, or matplotlib is missing.
+    """
+    if not figures:
+        return
+    if find_spec("matplotlib") is None:
+        raise ValueError("--figure: needs matplotlib: pip install 'marl-lanes[train]'")
+    from marl_lanes.evaluation.figures import check_figure
+
+    for figure in figures:
+        check_figure(figure)
+
+
+def check_trajectories(path: Path | None) -> None:
+    """Reject a file of trajectories that cannot be written.
+
+    Args:
+        path: the value of --trajectories.
+
+    Raises:
+        ValueError: it is not named as Parquet files are, or pyarrow is missing.
+    """
+    if path is None:
+        return
+    if path.suffix.lower() != ".parquet":
+        raise ValueError(f"--trajectories {path}: must end in .parquet")
+    need("pyarrow", "view")
+
+
+def _is_file(name: str | Path) -> bool:
+    try:
+        return Path(name).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _find_obstacle(path: Path) -> str | None:
+    """Why the file cannot be written, or None."""
+    if path.is_dir():
+        return "must be a file, not a folder"
+    above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+    if not above.is_dir():
+        return f"{above} is no folder"
+    if not os.access(above, os.W_OK | os.X_OK):
+        return f"the folder {above} cannot be written"
+    return None

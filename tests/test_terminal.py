@@ -1,0 +1,79 @@
+"""Streams that cannot take what is printed: another encoding, closed, left by the reader, full."""
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from marl_lanes.terminal import prepare_streams, say
+
+NAME = "räum \udcff 車"
+ESCAPED = "r\\xe4um \\udcff \\u8eca"
+
+
+@pytest.fixture
+def output(monkeypatch):
+    """Let standard output be a file descriptor."""
+
+    def replace(descriptor):
+        stream = os.fdopen(descriptor, "w", encoding="ascii")
+        monkeypatch.setattr(sys, "stdout", stream)
+        return stream
+
+    return replace
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
+def test_what_an_encoding_lacks_is_escaped(monkeypatch, encoding):
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, io.TextIOWrapper(io.BytesIO(), encoding=encoding))
+    prepare_streams()
+    for stream in (sys.stdout, sys.stderr):
+        stream.write(f"{NAME}\n")
+        stream.flush()
+        shown = stream.buffer.getvalue().decode(encoding)
+        lacks = {"ascii": ESCAPED, "cp1252": "räum \\udcff \\u8eca", "utf-8": "räum \\udcff 車"}
+        assert shown == lacks[encoding] + "\n"
+
+
+def test_a_reader_that_has_left_is_no_error(output):
+    reader, writer = os.pipe()
+    os.close(reader)
+    with output(writer):
+        say("one")
+        say("two")
+        sys.stdout.write("three")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device")
+def test_a_full_disk_is_one(output):
+    with output(os.open("/dev/full", os.O_WRONLY)):
+        with pytest.raises(OSError, match=r"^standard output: No space left on device$"):
+            say("one")
+        # What still waits is no second error.
+        sys.stdout.write("two")
+
+
+PROGRAM = """
+import os, sys
+from marl_lanes.terminal import prepare_streams, say
+prepare_streams()
+assert not sys.stderr.isatty()
+say("shown")
+print("told", file=sys.stderr)
+new = os.open(sys.argv[1], os.O_WRONLY | os.O_CREAT)
+assert new > 2, new
+"""
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_lead_nowhere(tmp_path, closed):
+    """The next file that is opened does not get what is printed."""
+    file = tmp_path / "file"
+    command = ["sh", "-c", f'exec "$0" -c "$1" "$2" {closed}', sys.executable, PROGRAM, str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert file.read_bytes() == b""

@@ -1,0 +1,107 @@
+"""What a caller has set in torch, and its thread, change nothing of a training."""
+
+import threading
+from contextlib import contextmanager
+
+import pytest
+import torch
+from learners import Evaluation, changers, tables, weights_of
+
+from marl_lanes import load_scenario
+from marl_lanes.naf.mu import STRUCTURES
+from marl_lanes.training.checkpoint import (
+    load_policy,
+    make_actor_network,
+    make_network,
+    save_checkpoint,
+)
+
+collector_warnings = pytest.mark.filterwarnings(
+    "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
+)
+SCENARIOS = {1: load_scenario("paper"), 2: load_scenario("interactive")}
+
+
+@contextmanager
+def doubles():
+    torch.set_default_dtype(torch.float64)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
+@contextmanager
+def deterministic():
+    torch.use_deterministic_algorithms(True)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(False)
+
+
+@pytest.mark.parametrize("mu", [*STRUCTURES, "actor"])
+def test_networks_are_float32_and_the_same(mu, tmp_path):
+    scenario = SCENARIOS[2 if "+" in mu else 1]
+
+    def make():
+        torch.manual_seed(3)
+        if mu == "actor":
+            return make_actor_network(scenario, [8])
+        return make_network(scenario, mu, [8])
+
+    wanted = make().state_dict()
+    with doubles():
+        network = make()
+        save_checkpoint(tmp_path / "x.pt", network, "paper", 1)
+        loaded = load_policy(tmp_path / "x.pt", scenario).network
+        for found in (network.state_dict(), loaded.state_dict()):
+            assert all(found[key].dtype == value.dtype for key, value in wanted.items())
+            assert all(torch.equal(found[key], value) for key, value in wanted.items())
+
+
+def trained(folder, made_in, trained_in):
+    """The tables and the weights of a training."""
+    with made_in():
+        learner = changers("evaluation.save_interval=1000")
+    learner.begin(folder)
+    with trained_in():
+        assert learner.train(Evaluation())
+    learner.close()
+    return tables(folder), weights_of(learner)
+
+
+@contextmanager
+def nothing():
+    yield
+
+
+def in_bfloat16():
+    return torch.autocast("cpu")
+
+
+@pytest.mark.training
+@collector_warnings
+def test_a_training_is_the_same_whatever_is_set(tmp_path):
+    reference = trained(tmp_path / "reference", nothing, nothing)
+    for name, made_in, trained_in in (
+        ("float64", doubles, doubles),
+        ("no_grad", torch.no_grad, torch.no_grad),
+        ("inference", nothing, torch.inference_mode),
+        ("autocast", in_bfloat16, in_bfloat16),
+        ("deterministic", deterministic, deterministic),
+    ):
+        found = trained(tmp_path / name, made_in, trained_in)
+        assert found[0] == reference[0], name
+        for key, value in reference[1].items():
+            assert torch.equal(found[1][key], value), (name, key)
+    results = []
+
+    def train():
+        results.append(trained(tmp_path / "thread", nothing, nothing))
+
+    thread = threading.Thread(target=train)
+    thread.start()
+    thread.join()
+    assert results
+    assert results[0][0] == reference[0]
