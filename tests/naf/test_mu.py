@@ -64,6 +64,16 @@ def test_each_part_acts_on_its_own_dimension(mu):
         torch.testing.assert_close(found[:, 1:], call(longitudinal, observation)["greedy_action"])
 
 
+@composed
+def test_action_and_slope_have_a_column_for_each_part(mu):
+    mu = stir(make_network(mu)).mu
+    observation = make_observation(7)
+    action, slope = mu.act(observation, observation)
+    assert torch.equal(action, mu(observation, observation))
+    slopes = [part.act(observation, observation)[1] for part in (mu.lateral, mu.longitudinal)]
+    assert slope.T.tolist() == [part.flatten().tolist() for part in slopes]
+
+
 def test_car_following_and_its_correction():
     priors, corrections = [-9.0, -3.0, -1.0, 0.0, 1.5, 2.0, 7.0], [-1e30, -20, -0.7, 0.0, 0.4, 1e30]
     pairs = list(itertools.product(priors, corrections))
