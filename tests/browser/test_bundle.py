@@ -25,7 +25,7 @@ from marl_lanes.trajectory.file import Trajectory
 from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
 
 JSON = "application/json"
-HOSTILE = "</script><script>window.owned = 1</script><img src=x onerror='window.owned = 2'>\u2028"
+HOSTILE = "</script><script>window.owned = 1</script><img src=x onerror='window.owned = 2'>"
 
 
 class Elements(HTMLParser):

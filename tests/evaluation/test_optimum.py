@@ -272,4 +272,4 @@ def test_refused_input(changes, message):
 @pytest.mark.parametrize("speed", [np.zeros(20), np.full(20, 0.01)], ids=["standing", "creeping"])
 def test_out_of_reach(speed):
     with pytest.raises(ValueError, match=r"^deviation is 3\.75 m; .* must .* within 220 steps"):
-        lane_change(speed, PASSING, action={"max_yaw_acceleration": 0.001})
+        lane_change(speed, PASSING, action={"max_yaw_acceleration": 0.01})

@@ -164,7 +164,7 @@ def test_advance_until_live_stops_at_the_horizon():
 )
 def test_waiting_for_a_command_that_does_not_come_is_an_error(overrides):
     fields = {"horizon": None, "time_step": 0.5, "lane_keeping": {"pole": 1.0}}
-    simulator = Simulator("paper", overrides={**fields, **overrides})
+    simulator = Simulator("paper", seed=0, overrides={**fields, **overrides})
     simulator.reset()
     with pytest.raises(ScenarioError, match="horizon = null"):
         simulator.advance_until_live()
