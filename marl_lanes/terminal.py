@@ -3,7 +3,9 @@
 import io
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
+from typing import Any, TextIO, cast
 
 
 def prepare_streams() -> None:
@@ -36,9 +38,9 @@ def say(text: str) -> None:
     try:
         print(text, flush=True)  # noqa: T201
     except BrokenPipeError:
-        _discard_output()
+        _discard(sys.stdout)
     except OSError as error:
-        _discard_output()
+        _discard(sys.stdout)
         raise OSError(f"standard output: {error.strerror}") from None
 
 
@@ -48,8 +50,44 @@ def warn(text: str) -> None:
         print(text, file=sys.stderr, flush=True)  # noqa: T201
 
 
-def _discard_output() -> None:
+def _discard(stream: TextIO) -> None:
     """Let what still waits to be printed go nowhere: else it fails again when Python ends."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    os.close(nowhere)
+    with suppress(io.UnsupportedOperation), open(os.devnull, "w") as nowhere:  # noqa: PTH123
+        os.dup2(nowhere.fileno(), stream.fileno())
+
+
+@contextmanager
+def lenient_streams() -> Iterator[None]:
+    """Let no error of stdout or stderr end the block: all that matters is in files.
+
+    A training runs on after ``| head`` has ended, after its terminal is closed, and when it was
+    started without one.
+    """
+    prepare_streams()
+    with ExitStack() as stack:
+        for stream, redirect in ((sys.stdout, redirect_stdout), (sys.stderr, redirect_stderr)):
+            stack.enter_context(redirect(cast("TextIO", _Lenient(stream))))
+        yield
+
+
+class _Lenient:
+    """Writes to a stream until that fails, and from then on to nowhere."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        try:
+            return self._stream.write(text)
+        except OSError:
+            _discard(self._stream)
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except OSError:
+            _discard(self._stream)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)

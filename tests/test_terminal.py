@@ -1,5 +1,6 @@
 """Streams that cannot take what is printed: another encoding, closed, left by the reader, full."""
 
+import errno
 import io
 import os
 import subprocess
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from marl_lanes.terminal import prepare_streams, say
+from marl_lanes.terminal import lenient_streams, prepare_streams, say
 
 NAME = "räum \udcff 車"
 ESCAPED = "r\\xe4um \\udcff \\u8eca"
@@ -77,3 +78,62 @@ def test_streams_that_are_closed_lead_nowhere(tmp_path, closed):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert file.read_bytes() == b""
+
+
+TALK = """
+import sys
+from tqdm import tqdm
+from marl_lanes.terminal import lenient_streams
+with lenient_streams():
+    for number in tqdm(range(2_000), mininterval=0, miniters=1, desc="x" * 50):
+        print(number)
+        print(number, file=sys.stderr)
+    open("done", "w").write("yes")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("redirection", ["2>&-", ">&-", "2>&1 | head -1", "2>/dev/full"])
+def test_what_becomes_of_the_streams_ends_nothing(tmp_path, redirection):
+    command = f'set -o pipefail; "{sys.executable}" -W error -c "$TALK" {redirection}'
+    shell = ["bash", "-c", command]
+    done = subprocess.run(
+        shell, cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "TALK": TALK}
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "done").read_text(encoding="utf-8") == "yes"
+    assert "Error" not in done.stderr
+
+
+class Broken(io.StringIO):
+    def write(self, _):
+        raise OSError(errno.EIO, "it is gone")
+
+
+def test_what_can_be_written_is(capsys):
+    before = sys.stdout, sys.stderr
+    with lenient_streams():
+        sys.stdout.write("one\n")
+        sys.stderr.write("two\n")
+        sys.stderr.flush()
+        assert sys.stderr.isatty() is False
+    assert capsys.readouterr() == ("one\n", "two\n")
+    assert (sys.stdout, sys.stderr) == before
+
+
+def test_an_error_of_a_stream_is_none_of_the_program(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Broken())
+    with lenient_streams():
+        sys.stderr.write("two")
+        sys.stderr.flush()
+    with pytest.raises(OSError, match="gone"):
+        sys.stderr.write("three")
+
+
+def test_what_an_encoding_lacks_is_escaped_while_a_program_runs(monkeypatch):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", stream)
+    with lenient_streams():
+        sys.stdout.write("läufe \udcff")
+        sys.stdout.flush()
+    assert stream.buffer.getvalue() == b"l\\xe4ufe \\udcff"

@@ -34,6 +34,7 @@ from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy
 from marl_lanes.scenario.fields import NonNegative
 from marl_lanes.scenario.followers import LEARNED, SCRIPTED
+from marl_lanes.terminal import lenient_streams
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.naf import NAF, NAFConfig
@@ -59,7 +60,6 @@ from marl_lanes.training.run_folder import (
     lock_run,
 )
 from marl_lanes.training.sizes import check_networks, check_sizes
-from marl_lanes.training.terminal import lenient_streams
 from marl_lanes.training.transitions import LivePolicy
 
 MODEL = f"checkpoints/{FINAL_MODEL}"

@@ -16,6 +16,7 @@ import torch
 
 from marl_lanes import LaneChangeEnv, Scenario
 from marl_lanes.experiment import run, start
+from marl_lanes.terminal import lenient_streams
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.td3 import TD3, TD3Config
 from marl_lanes.training.checkpoint import make_actor_network
@@ -26,7 +27,6 @@ from marl_lanes.training.config import (
     read_changers_config,
 )
 from marl_lanes.training.sizes import check_networks
-from marl_lanes.training.terminal import lenient_streams
 
 FOLDER = Path(__file__).parent
 PROGRAM = "agents/baselines/train.py"

@@ -19,10 +19,10 @@ from marl_lanes.memory import check_memory
 from marl_lanes.naf.lateral import TUNED_CASCADE, CascadeGains, steer_by_cascade
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
+from marl_lanes.terminal import lenient_streams
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import bytes_of_road
 from marl_lanes.training.command_line import Parser, refusing
-from marl_lanes.training.terminal import lenient_streams
 
 LOWEST = CascadeGains(limit=0.2, time=0.8, lateral_limit=0.3, lag=0.08, damping=0.4, threshold=0.0)
 HIGHEST = CascadeGains(limit=0.5, time=2.5, lateral_limit=1.0, lag=0.3, damping=1.4, threshold=0.06)

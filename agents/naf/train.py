@@ -16,12 +16,12 @@ import torch
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
 from marl_lanes.experiment import run, start
 from marl_lanes.naf.checkpoint import CheckpointError
+from marl_lanes.terminal import lenient_streams
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
 from marl_lanes.training.command_line import Fields, describe_command, read_command_line, refusing
 from marl_lanes.training.config import ConfigError, read_changers_config
 from marl_lanes.training.sizes import check_networks
-from marl_lanes.training.terminal import lenient_streams
 
 FOLDER = Path(__file__).parent
 PROGRAM = "agents/naf/train.py"
