@@ -107,6 +107,7 @@ def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float
         f"collector.total_transitions={transitions}",
         f"evaluation.save_interval={10 * transitions}",
         "evaluation.record=false",
+        f"replay.warmup_transitions={transitions // 20}",
         # In stage two from the start: mu learns, too.
         "optimizer.pretraining_transitions=0",
     ]

@@ -96,7 +96,7 @@ def test_interruptions_and_deaths_change_nothing(program, reference, tmp_path):
     (pid,) = killed
     assert re.fullmatch(
         rf"error: died: worker \d of 2 \(process {pid} on .*\) by SIGKILL; "
-        "continue from the last saved model: resume=run",
+        "continue from the last training state: resume=run",
         caught.value.code,
     )
     assert not (run / "checkpoints" / "final.pt").exists()

@@ -20,6 +20,7 @@ from marl_lanes.cli.main import main
 from marl_lanes.training.checkpoint import save_checkpoint
 
 QUICK = """
+name: quick
 num_agents: 1
 horizon: 8.0
 warmup: [10.0, 10.0]
