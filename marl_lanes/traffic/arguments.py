@@ -51,8 +51,8 @@ def check_functions(name: str, given: object) -> None:
             )
 
 
-def read_numbers(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Real numbers as an array; not a copy where none is needed. They may be infinite or nan.
+def read_numbers(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
+    """Floats as an array; not a copy where none is needed. They may be infinite or nan.
 
     Args:
         name: for the message.
@@ -62,6 +62,9 @@ def read_numbers(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np
     Raises:
         ValueError: it is something else.
     """
+    # The common case first: it is read at every step.
+    if type(given) is np.ndarray and given.dtype.char in "fd" and given.shape == shape:
+        return given
     masked = sys.modules.get("numpy.ma")
     if masked is not None and isinstance(given, masked.MaskedArray):
         raise ValueError(f"{name}: must be ordinary numbers, is a masked array")
@@ -71,7 +74,7 @@ def read_numbers(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np
             f"{name} = {shown(given)}: must be real numbers of at most 64 bits, is of type "
             f"{array.dtype}"
         )
-    return array.astype(np.float64, copy=False)
+    return array if array.dtype.char in "fd" else array.astype(np.float64)
 
 
 def read_mask(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np.bool_]:

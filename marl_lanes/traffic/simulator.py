@@ -206,10 +206,11 @@ class Simulator:
             ValueError: wrong type or shape, or the action of an acting agent is not finite.
             FollowerError: a follower's policy returned invalid accelerations.
         """
+        # Nothing is kept of what is refused.
         given = self._read("actions", actions, self.actions)
         given_followers = self._read("follower_actions", follower_actions, self.follower_actions)
-        np.copyto(self.actions, given)
-        np.copyto(self.follower_actions, given_followers)
+        _put(given, self.actions)
+        _put(given_followers, self.follower_actions)
         self._advance()
 
     @exclusive
@@ -336,14 +337,14 @@ class Simulator:
 
     def _read(
         self, name: str, given: ArrayLike | None, kept: NDArray[np.float64]
-    ) -> NDArray[np.float64] | float:
+    ) -> NDArray[np.floating[Any]] | None:
         """Actions. A value that is not finite becomes 0, or an error if its agent acts."""
         if given is None:
-            return 0.0
+            return None
         array = read_numbers(name, given, kept.shape)
-        is_finite = np.isfinite(array)
-        if is_finite.all():
+        if np.isfinite(array).all():
             return array
+        is_finite = np.isfinite(array)
         acting = self.is_acting if kept is self.actions else self.is_follower_acting
         bad = acting[..., None] & ~is_finite
         if bad.any():
@@ -355,7 +356,8 @@ class Simulator:
         return np.where(is_finite, array, 0.0)
 
     def _advance(self) -> None:
-        self._ask_policies()
+        if self._policies:
+            self._ask_policies()
         self._run(STEP, self._every_road, 1)
 
     def _ask_policies(self) -> None:
@@ -376,10 +378,14 @@ class Simulator:
         return (self.actions, self.follower_actions, *self.state.arrays, *self.parameters.arrays)
 
     def _run(self, mode: int, mask: NDArray[np.bool_], num_steps: int) -> None:
-        given = mode, num_steps, mask, *self._arguments
-        if self._kernel is None:
-            self._kernel = entry_point(run, (0, self.num_envs, *given))
-        self._threads.run(self._kernel, *given)
+        kernel = self._kernel
+        if kernel is None:
+            arguments = (0, self.num_envs, mode, num_steps, mask, *self._arguments)
+            kernel = self._kernel = entry_point(run, arguments)
+        if self.num_threads == 1:
+            kernel(0, self.num_envs, mode, num_steps, mask, *self._arguments)
+        else:
+            self._threads.run(kernel, mode, num_steps, mask, *self._arguments)
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy has its own lock and threads, and the arguments must be the arrays of its state.
@@ -392,6 +398,13 @@ class Simulator:
         self._kernel = None
         self._lock = threading.Lock()
         self._threads = RoadThreads(self.num_envs, self.num_threads)
+
+
+def _put(actions: NDArray[np.floating[Any]] | None, kept: NDArray[np.float64]) -> None:
+    if actions is None:
+        kept.fill(0.0)
+    else:
+        np.copyto(kept, actions)
 
 
 def _choose_seed(seed: int | None) -> int:

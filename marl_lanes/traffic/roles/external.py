@@ -97,9 +97,10 @@ def ask_policy(
     """
     returned = policy(observations.copy())
     try:
-        accelerations = read_numbers("returned", returned, (len(observations),))
+        given = read_numbers("returned", returned, (len(observations),))
     except ValueError as error:
         raise FollowerError(f"follower {name!r}: {error}") from None
+    accelerations = given.astype(np.float64, copy=False)
     (acceleration,) = FOLLOWER.act(scenario)
     low, high = acceleration.low, acceleration.high
     # The bounded output of a float32 network may exceed its bounds by rounding.
