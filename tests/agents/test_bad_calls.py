@@ -220,6 +220,12 @@ CASCADE = [
         for value in ("-1", "many", "nan", "inf", "1e308", "1" + "0" * 40, "", "true", "[1]")
     ),
     *(([f"--{name}", "0"], name) for name in OPTIONS if name != "seed"),
+    *(
+        ([f"--{name}", value], name)
+        for name in OPTIONS
+        if name != "seconds"
+        for value in ("1.5", "1e3", "0x10")
+    ),
     *(([f"--{name}"], name) for name in (*OPTIONS, "scenario", "output")),
     (["--output", "."], "output"),
     (["--output", "busy.yaml/run.json"], "busy.yaml"),

@@ -4,6 +4,7 @@ import math
 from fractions import Fraction
 
 import pytest
+from comparing import EVERY_FEATURE
 from drawn_scenarios import Drawn
 from oracle import follow
 from reference.road import Road
@@ -11,7 +12,7 @@ from staging import assert_conserved
 
 from marl_lanes.traffic.simulator import Simulator
 
-ENDLESS = {"num_agents": None, "horizon": None}
+ENDLESS = {"num_agents": None, "horizon": None, "observation": EVERY_FEATURE}
 
 
 @pytest.mark.parametrize(
