@@ -169,15 +169,20 @@ class Learner:
             extents=extents,
             until=self.transitions,
         )
-        self.replay = self._make_replay(folder)
-        restore_state(
-            path,
-            content,
-            loss=self.algorithm.loss,
-            optimizer=self.algorithm.optimizer,
-            replay=self.replay,
-            collector=self.collector,
-        )
+        try:
+            self.replay = self._make_replay(folder)
+            restore_state(
+                path,
+                content,
+                loss=self.algorithm.loss,
+                optimizer=self.algorithm.optimizer,
+                replay=self.replay,
+                collector=self.collector,
+            )
+        except BaseException:
+            # The lock, too: another process may go on.
+            self.run.close()
+            raise
 
     def save(self) -> None:
         """Write the training state."""

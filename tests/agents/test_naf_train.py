@@ -1,6 +1,7 @@
 """The training program: its run folder, interruption, repetition, and what it refuses."""
 
 import csv
+import gc
 import json
 import re
 import shlex
@@ -441,6 +442,9 @@ def test_a_run_that_is_broken_is_refused_in_a_line(
     with pytest.raises((ValueError, OSError), match=message) as caught:
         begin(program, program.read(["resume=run"]))
     assert len(str(caught.value).splitlines()) == 1
+    # A file that is still open, the lock among them, would be told here.
+    del caught
+    gc.collect()
 
 
 def replace(path, old, new):
