@@ -232,15 +232,16 @@ class Simulator:
             ScenarioError: the scenario has no horizon, and on some road no agent has become live in
                 a day of simulated time, MAX_WAIT, or it has no commands at all.
         """
-        self.check_wait(0)
         num_steps, roads = 0, self.roads
         longest = math.ceil(MAX_WAIT / self.scenario.time_step)
-        while ((roads["num_live"] == 0) & (roads["is_done"] == 0)).any():
+        is_waiting = True
+        while is_waiting:
             self.check_wait(num_steps)
             # An error does not depend on how many steps a call takes.
             steps = min(self._steps_per_call, longest - num_steps % longest)
             self._run(SKIP, self._every_road, steps)
             num_steps += steps
+            is_waiting = ((roads["num_live"] == 0) & (roads["is_done"] == 0)).any()
 
     def check_wait(self, num_steps: int) -> None:
         """Refuse to wait on for a live agent where one will hardly come.
