@@ -194,13 +194,13 @@ def make_learner(
     env = LaneChangeEnv("paper", seed=0)
     learner = Learner(config, env, NAF(config, env, network))
     # A training makes it when it begins, in its run folder; one in memory needs none.
-    learner.replay = Replay(config.replay, Path("unused"), 0)
+    learner.experience = Replay(config.replay, Path("unused"), 0, transitions_per_update=1.0)
     is_end = replay["terminated"]
     ends = {"done": is_end, "terminated": is_end, "truncated": torch.zeros_like(is_end)}
     following = {"observation": replay["next_observation"], "reward": replay["reward"], **ends}
     rows = {key: replay[key] for key in ("observation", "action")}
     size = [CAPACITY]
-    learner.replay.extend(TensorDict({**rows, "next": TensorDict(following, size)}, size))
+    learner.experience.extend(TensorDict({**rows, "next": TensorDict(following, size)}, size))
     return learner
 
 

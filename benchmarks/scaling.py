@@ -87,18 +87,17 @@ def measure_memory(learner: Learner, batch: TensorDictBase) -> Figures:
     }
 
 
-def measure_learner(learner: Learner, rounds: int) -> Figures:
+def measure_learner(learner: Learner, config: TrainingConfig, rounds: int) -> Figures:
     """Seconds of an update and of storing a transition; what one learner can take a second."""
-    config = learner.config
     storing, updating = [], []
     for _ in range(rounds):
         rows = live_transitions(learner.collector.next())
-        learner.replay.extend(rows)
+        learner.experience.extend(rows)
         batch = learner.collector.next()
         size = len(live_transitions(batch))
 
         def store(batch: TensorDictBase = batch) -> None:
-            learner.replay.extend(live_transitions(batch))
+            learner.experience.extend(live_transitions(batch))
 
         def update() -> None:
             learner.update(NUM_UPDATES)
@@ -168,24 +167,31 @@ def measure_collectors(
     return result
 
 
-def measure_replay(learner: Learner, capacity: int, folder: Path) -> dict[str, Figures]:
+def measure_replay(
+    learner: Learner, config: TrainingConfig, capacity: int, folder: Path
+) -> dict[str, Figures]:
     """A replay buffer of ``capacity`` in memory and in files: store, draw, write the state."""
     rows = live_transitions(learner.collector.next())
     size = learner.memory["bytes_per_stored_transition"]
     result = {}
-    kept = learner.replay
-    config = learner.config.replay
+    kept = learner.experience
 
     def draw() -> None:
-        learner.replay.sample(config.batch_size)
+        replay.sample(config.replay.batch_size)
 
     for storage in ("memory", "memmap"):
-        settings = config.model_copy(update={"storage": storage, "capacity": capacity})
-        learner.replay = Replay(settings, folder / storage, size)
+        settings = config.replay.model_copy(update={"storage": storage, "capacity": capacity})
+        replay = Replay(
+            settings,
+            folder / storage,
+            size,
+            transitions_per_update=config.optimizer.transitions_per_update,
+        )
+        learner.experience = replay
 
         def fill() -> None:
             for _ in range(-(-capacity // len(rows))):
-                learner.replay.extend(rows.clone())
+                learner.experience.extend(rows.clone())
 
         filling = seconds(fill)
         drawing = [seconds(draw) for _ in range(NUM_UPDATES)]
@@ -197,7 +203,7 @@ def measure_replay(learner: Learner, capacity: int, folder: Path) -> dict[str, F
             "read_state_seconds": seconds(lambda: read_state(learner.run.state)),
             "state_bytes": float(learner.run.state.stat().st_size),
         }
-    learner.replay = kept
+    learner.experience = kept
     return result
 
 
@@ -277,14 +283,16 @@ def main() -> None:
                 batch = learner.collector.next()
         found["memory"] = measure_memory(learner, batch)
         show("memory", found["memory"])
-        found["learner"] = measure_learner(learners["single"], options.rounds)
+        found["learner"] = measure_learner(learners["single"], config, options.rounds)
         show("learner", found["learner"])
         collectors = {name: learner.collector for name, learner in learners.items()}
         found["collectors"] = measure_collectors(collectors, options.rounds)
         for name, figures in found["collectors"].items():
             figures["num_workers"] = float(makers[name][0])
             show(f"collector: {name}", figures)
-        found["replay"] = measure_replay(learners["single"], options.replay, folder / "replay")
+        found["replay"] = measure_replay(
+            learners["single"], config, options.replay, folder / "replay"
+        )
         for name, figures in found["replay"].items():
             show(f"replay.storage={name}", figures)
         found["plan"] = plan(config, found, list(makers)[-1])

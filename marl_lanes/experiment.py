@@ -38,7 +38,11 @@ learns and acts. Torch's generator is seeded before."""
 
 
 def start(
-    config: ChangersConfig, make_algorithm: MakeAlgorithm, command: str
+    config: ChangersConfig,
+    make_algorithm: MakeAlgorithm,
+    command: str,
+    *,
+    has_state: bool = False,
 ) -> tuple[Learner, Scenario]:
     """Begin a new run, or resume one from its folder alone. After an error no file is left behind.
 
@@ -46,6 +50,7 @@ def start(
         config: of the run.
         make_algorithm: what the learner is made of.
         command: the command line that begins the run; a resumed run keeps its own.
+        has_state: whether the algorithm needs the road's state.
 
     Raises:
         ConfigError, ScenarioError, CheckpointError, MissingExtraError: the run cannot be made.
@@ -55,7 +60,7 @@ def start(
     scenario = load_scenario(config.scenario) if is_new else read_scenario(folder)
     num_commands = check_episodes(scenario)
     collected = load_collected(scenario, config.training_overrides)
-    check_sizes(config, collected, scenario)
+    check_sizes(config, collected, scenario, has_state=has_state)
     files = _find_files(scenario, collected)
     if is_new:
         check_empty(folder)
@@ -66,7 +71,10 @@ def start(
             need(package, "view")
     torch.set_num_threads(config.num_threads)
     env = LaneChangeEnv(
-        collected, config.collector.num_envs // config.num_workers, seed=config.seed
+        collected,
+        config.collector.num_envs // config.num_workers,
+        seed=config.seed,
+        has_state=has_state,
     )
     torch.manual_seed(config.seed)
     device = torch.device(config.device)

@@ -101,7 +101,7 @@ def filled(folder, *options):
     ends = {key: draw(200, 1) > 1.5 for key in ("done", "terminated", "truncated")}
     following = TensorDict({"observation": draw(200, 6), "reward": draw(200, 1), **ends}, [200])
     rows = {"observation": draw(200, 6), "action": draw(200, 1) * 0.1, "next": following}
-    learner.replay.extend(TensorDict(rows, [200]))
+    learner.experience.extend(TensorDict(rows, [200]))
     return learner
 
 

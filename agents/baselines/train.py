@@ -3,7 +3,8 @@
 python agents/baselines/train.py ALGORITHM [scenario=NAME] [seed=N] [output=DIR] [resume=RUN]
     [collector.kind=multi|ray num_workers=N [ray.address=HOST:PORT]] [any field of the config]
 
-ALGORITHM is td3. Its YAML file in this folder has its values; ALGORITHM --help explains the fields.
+ALGORITHM is ippo, mappo, sac, td3 or ddpg. Its YAML file in this folder has its values; ALGORITHM
+--help explains the fields.
 """
 
 import argparse
@@ -17,7 +18,11 @@ import torch
 from marl_lanes import LaneChangeEnv, Scenario
 from marl_lanes.experiment import run, start
 from marl_lanes.terminal import lenient_streams
+from marl_lanes.training.algorithms.actor_critic import ActorNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
+from marl_lanes.training.algorithms.ddpg import DDPG, DDPGConfig
+from marl_lanes.training.algorithms.ppo import PPO, PPOConfig
+from marl_lanes.training.algorithms.sac import SAC, SACConfig
 from marl_lanes.training.algorithms.td3 import TD3, TD3Config
 from marl_lanes.training.checkpoint import make_actor_network
 from marl_lanes.training.command_line import Parser, describe_command, read_command_line, refusing
@@ -32,6 +37,27 @@ FOLDER = Path(__file__).parent
 PROGRAM = "agents/baselines/train.py"
 
 
+class IPPOTrainingConfig(PPOConfig, ChangersConfig):
+    """Everything that defines a run with IPPO."""
+
+    collector: DistributedCollectorConfig
+    algorithm: Literal["ippo"]
+
+
+class MAPPOTrainingConfig(PPOConfig, ChangersConfig):
+    """Everything that defines a run with MAPPO."""
+
+    collector: DistributedCollectorConfig
+    algorithm: Literal["mappo"]
+
+
+class SACTrainingConfig(SACConfig, ChangersConfig):
+    """Everything that defines a run with SAC."""
+
+    collector: DistributedCollectorConfig
+    algorithm: Literal["sac"]
+
+
 class TD3TrainingConfig(TD3Config, ChangersConfig):
     """Everything that defines a run with TD3."""
 
@@ -39,28 +65,44 @@ class TD3TrainingConfig(TD3Config, ChangersConfig):
     algorithm: Literal["td3"]
 
 
-def make_td3(
-    config: TD3TrainingConfig,
+class DDPGTrainingConfig(DDPGConfig, ChangersConfig):
+    """Everything that defines a run with DDPG."""
+
+    collector: DistributedCollectorConfig
+    algorithm: Literal["ddpg"]
+
+
+class Baseline(NamedTuple):
+    """An algorithm and its configuration."""
+
+    config: type[ChangersConfig]
+    algorithm: Callable[..., Algorithm]
+    has_state: bool = False
+    """Whether it needs the road's state."""
+
+
+BASELINES = {
+    "ippo": Baseline(IPPOTrainingConfig, PPO),
+    "mappo": Baseline(MAPPOTrainingConfig, partial(PPO, is_centralised=True), has_state=True),
+    "sac": Baseline(SACTrainingConfig, SAC),
+    "td3": Baseline(TD3TrainingConfig, TD3),
+    "ddpg": Baseline(DDPGTrainingConfig, DDPG),
+}
+
+
+def make(
+    config: Any,
+    algorithm: Callable[..., Algorithm],
     env: LaneChangeEnv,
     scenario: Scenario,
     device: torch.device,
     acting_device: torch.device,
-) -> TD3:
-    """TD3 with an untrained actor."""
+) -> Algorithm:
+    """The algorithm with an untrained actor."""
     widths = config.network.hidden_sizes
     check_networks(config, "network.hidden_sizes", widths, len(scenario.observation.features))
-    network = make_actor_network(scenario, widths)
-    return TD3(config, env, network, device=device, acting_device=acting_device)
-
-
-class Baseline(NamedTuple):
-    """An algorithm's configuration, and the function that makes the algorithm."""
-
-    config: type[ChangersConfig]
-    make: Callable[[Any, LaneChangeEnv, Scenario, torch.device, torch.device], Algorithm]
-
-
-BASELINES = {"td3": Baseline(TD3TrainingConfig, make_td3)}
+    network: ActorNetwork = make_actor_network(scenario, widths)
+    return algorithm(config, env, network, device=device, acting_device=acting_device)
 
 
 @lenient_streams()
@@ -78,7 +120,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with refusing():
         config = read(options.algorithm, options.overrides)
         command = describe_command(PROGRAM, arguments)
-        learner, scenario = start(config, partial(baseline.make, config), command)
+        make_algorithm = partial(make, config, baseline.algorithm)
+        learner, scenario = start(config, make_algorithm, command, has_state=baseline.has_state)
     run(learner, config, scenario)
 
 

@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.envs.tensordict_internals import make_tensordict
+from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
@@ -87,6 +88,10 @@ class LaneChangeEnv(EnvBase):
     columns FOLLOWER_COLUMNS, its ``action`` (E, A, 1) is the longitudinal acceleration [m/s^2].
     The other keys are as above; it ends with the command.
 
+    With ``has_state`` the root has a ``state`` (E, max_vehicles, columns) float32: every vehicle of
+    the road by decreasing position, with the columns STATE_COLUMNS; ``agent`` is the slot of the
+    vehicle's agent, or -1. Rows without a vehicle are zero, with agent -1.
+
     The root's ``done`` (E, 1) is the end of a road's episode: all ``num_agents`` commands of the
     scenario are finished (terminated), or the horizon is reached (truncated). With
     ``num_agents: null`` and ``horizon: null`` an episode never ends. With the same scenario, seed
@@ -109,6 +114,7 @@ class LaneChangeEnv(EnvBase):
         follower_policies: policies by their name in ``followers.mix``; they have priority over
             registered ones.
         first_road: index of the first road within the seed's roads, as for ``Simulator``.
+        has_state: add ``state``, for a centralised critic.
         render_mode: None, or "rgb_array": ``render`` returns a picture of a road.
         view: how a road is shown, ``ViewOptions`` or a mapping of its fields; not used where
             render_mode is None.
@@ -139,6 +145,7 @@ class LaneChangeEnv(EnvBase):
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
         first_road: int = 0,
+        has_state: bool = False,
         render_mode: str | None = None,
         view: "View" = None,
     ) -> None:
@@ -148,7 +155,9 @@ class LaneChangeEnv(EnvBase):
         loaded = load_scenario(scenario, overrides)
         learned_followers = check_flag("learned_followers", learned_followers)
         num_envs = check_whole("num_envs", num_envs, 1, sys.maxsize)
-        check_memory("num_envs", num_envs, num_envs * _bytes_of_road(loaded, learned_followers))
+        self.has_state = check_flag("has_state", has_state)
+        size = _bytes_of_road(loaded, learned_followers) + self.has_state * bytes_of_state(loaded)
+        check_memory("num_envs", num_envs, num_envs * size)
         self.simulator = Simulator(
             loaded,
             num_envs,
@@ -244,6 +253,9 @@ class LaneChangeEnv(EnvBase):
             "outcome": Bounded(0, max(Outcome), group, dtype=torch.int64, device=_CPU),
         }
         self.observation_spec = self._grouped(seen)
+        if self.has_state:
+            shape = (num_envs, self.scenario.max_vehicles, len(STATE_COLUMNS))
+            self.observation_spec["state"] = Unbounded(shape, dtype=torch.float32, device=_CPU)
         self.action_spec = self._grouped(
             {
                 role.group: {"action": self._bounded(role.action_bounds(self.scenario))}
@@ -292,7 +304,7 @@ class LaneChangeEnv(EnvBase):
         for columns in groups.values():
             for key in ("reward", *_ENDS):
                 del columns[key]
-        return self._make_tensordict(groups)
+        return self._make_tensordict(groups, **self._read_state())
 
     @_timed
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -308,6 +320,7 @@ class LaneChangeEnv(EnvBase):
         is_cut = simulator.roads["is_cut"].astype(np.bool_)
         return self._make_tensordict(
             groups,
+            **self._read_state(),
             done=done[:, None],
             terminated=(done & ~is_cut)[:, None],
             truncated=is_cut[:, None],
@@ -336,8 +349,11 @@ class LaneChangeEnv(EnvBase):
             groups[role.group] = columns
         return groups
 
+    def _read_state(self) -> dict[str, NDArray[np.float32]]:
+        return {"state": read_vehicle_tables(self.simulator)} if self.has_state else {}
+
     def _make_tensordict(
-        self, groups: Mapping[str, Mapping[str, NDArray[Any]]], **root: NDArray[np.bool_]
+        self, groups: Mapping[str, Mapping[str, NDArray[Any]]], **root: NDArray[Any]
     ) -> TensorDict:
         shape = torch.Size(self.simulator.agents.shape)
         device = self.device
@@ -380,6 +396,11 @@ def _bytes_of_road(scenario: Scenario, has_followers: bool) -> int:
         tensors += slots * (4 * numbers + _BYTES_OF_SLOT)
     # Two bounds in the specs, two tensordicts for a step: before it and after it.
     return bytes_of_road(scenario) + 4 * tensors
+
+
+def bytes_of_state(scenario: Scenario) -> int:
+    """Memory of one road's ``state``, before a step and after it [bytes]."""
+    return 8 * scenario.max_vehicles * len(STATE_COLUMNS)
 
 
 def _read_actions(tensordict: TensorDictBase, group: str) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""All vehicles of a road as one table of numbers: what PettingZoo's ``state`` returns."""
+"""All vehicles of a road as one table of numbers: PettingZoo's ``state``, TorchRL's ``state``."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ STATE_COLUMNS = (
     "yaw_rate",
     "agent",
 )
-"""Columns of the table: fields of VEHICLE; ``agent`` is the serial number of the vehicle's command,
--1 if it has none."""
+"""Columns of the table: fields of VEHICLE; ``agent`` says which agent the vehicle is, -1 if it is
+none: by the serial number of its command in PettingZoo's, by its slot in TorchRL's."""
 
 
 def read_vehicle_table(simulator: Simulator) -> NDArray[np.float32]:
@@ -33,4 +33,20 @@ def read_vehicle_table(simulator: Simulator) -> NDArray[np.float32]:
     commands = simulator.agents["command"][0, cars["agent"]]
     rows[:count, -1] = np.where(cars["agent"] == NONE, NONE, commands)
     rows[count:, -1] = NONE
+    return rows
+
+
+def read_vehicle_tables(simulator: Simulator) -> NDArray[np.float32]:
+    """The same of every road, with the agents' slots.
+
+    Returns:
+        (E, max_vehicles, columns) float32.
+    """
+    order, count = simulator.state.order, simulator.roads["num_vehicles"]
+    is_there = np.arange(order.shape[1]) < count[:, None]
+    slots = np.where(is_there, order, 0)
+    rows = np.empty((*order.shape, len(STATE_COLUMNS)), np.float32)
+    for column, name in enumerate(STATE_COLUMNS):
+        rows[..., column] = np.take_along_axis(simulator.vehicles[name], slots, axis=1)
+    rows[~is_there] = [0.0] * (len(STATE_COLUMNS) - 1) + [NONE]
     return rows

@@ -91,6 +91,13 @@ class ReplayConfig(Section):
     warmup_transitions: CountOrZero = Field(description="transitions before the first update")
 
 
+class EpochsConfig(Section):
+    """The newest batch, from which updates without a replay buffer are made."""
+
+    num_epochs: Number = Field(description="times that each of its transitions is used")
+    batch_size: Number = Field(description="transitions an update, about")
+
+
 class OptimizerConfig(Section):
     """Adam."""
 
@@ -103,6 +110,11 @@ class OptimizerConfig(Section):
     max_gradient_norm: Magnitude | None = Field(
         description="gradients are scaled down to this norm; null: not"
     )
+
+
+class OffPolicyOptimizerConfig(OptimizerConfig):
+    """Adam, for updates from a replay buffer."""
+
     transitions_per_update: Real = Field(
         ge=1e-3, le=1e12, description="new transitions for each update"
     )
@@ -181,10 +193,15 @@ class LearnerConfig(Section):
     """How one group learns."""
 
     collector: CollectorConfig
-    replay: ReplayConfig
     optimizer: OptimizerConfig
-    exploration: ExplorationConfig
     evaluation: EvaluationConfig
+
+
+class OffPolicyConfig(LearnerConfig):
+    """How one group learns from a replay buffer."""
+
+    replay: ReplayConfig
+    optimizer: OffPolicyOptimizerConfig
 
     @model_validator(mode="after")
     def _check_warmup(self) -> Self:
@@ -195,6 +212,12 @@ class LearnerConfig(Section):
                 f"= {total}, or nothing is learned"
             )
         return self
+
+
+class OnPolicyConfig(LearnerConfig):
+    """How one group learns from what its present policy has done."""
+
+    epochs: EpochsConfig
 
 
 class ProgramConfig(Section):

@@ -24,6 +24,7 @@ from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.checkpoint import save_checkpoint
 from marl_lanes.training.collectors import LocalCollector, MakeCollector
 from marl_lanes.training.config import LearnerConfig
+from marl_lanes.training.experience import Experience
 from marl_lanes.training.failures import (
     IdleWatch,
     TrainingError,
@@ -32,7 +33,6 @@ from marl_lanes.training.failures import (
     explain_divergence,
 )
 from marl_lanes.training.interruptions import note_interruptions
-from marl_lanes.training.replay import Replay
 from marl_lanes.training.resume import read_state, restore_state, save_state
 from marl_lanes.training.run_folder import (
     BUFFER_FOLDER,
@@ -43,9 +43,6 @@ from marl_lanes.training.run_folder import (
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
 from marl_lanes.training.torch_settings import training_settings
 from marl_lanes.training.transitions import finished_maneuvers, live_transitions
-
-ROWS_AT_ONCE = 32_768
-"""Rows read from the replay buffer together, for as many updates as they make."""
 
 EvaluateModel = Callable[[PolicyNetwork, Path | None], Mapping[str, Any]]
 """What a network achieves as it is: metrics by name, numbers or None. The first road is recorded
@@ -70,7 +67,7 @@ class Learner:
     """
 
     run: RunFolder
-    replay: Replay
+    experience: Experience
 
     def __init__(
         self,
@@ -122,9 +119,9 @@ class Learner:
             "bytes_per_stored_transition": row.bytes() + index,
         }
 
-    def _make_replay(self, folder: Path) -> Replay:
+    def _make_experience(self, folder: Path) -> Experience:
         size = self.memory["bytes_per_stored_transition"]
-        return Replay(self.config.replay, folder / BUFFER_FOLDER, size, self.algorithm.device)
+        return self.algorithm.make_experience(folder / BUFFER_FOLDER, size)
 
     def begin(self, folder: Path, keep_inputs: Callable[[], object] | None = None) -> None:
         """Start in a new or empty folder, and write the first training state. An error empties it.
@@ -143,7 +140,7 @@ class Learner:
         try:
             if keep_inputs is not None:
                 keep_inputs()
-            self.replay = self._make_replay(folder)
+            self.experience = self._make_experience(folder)
             self.save()
         except BaseException:
             self.run.discard()
@@ -170,13 +167,13 @@ class Learner:
             until=self.transitions,
         )
         try:
-            self.replay = self._make_replay(folder)
+            self.experience = self._make_experience(folder)
             restore_state(
                 path,
                 content,
                 loss=self.algorithm.loss,
                 optimizer=self.algorithm.optimizer,
-                replay=self.replay,
+                experience=self.experience,
                 collector=self.collector,
             )
         except BaseException:
@@ -192,7 +189,7 @@ class Learner:
             tables=self.run.take_extents(),
             loss=self.algorithm.loss,
             optimizer=self.algorithm.optimizer,
-            replay=self.replay,
+            experience=self.experience,
             collector=self.collector,
         )
 
@@ -222,37 +219,29 @@ class Learner:
         return batch
 
     def update(self, number: int) -> dict[str, Tensor]:
-        """Make ``number`` updates on batches from the replay buffer.
+        """Make ``number`` updates on batches of experience.
 
         Returns:
             the losses by name, (number,) or fewer, on the device: the call does not wait for a GPU.
         """
-        size = self.config.replay.batch_size
-        at_once = max(1, ROWS_AT_ONCE // size)
         losses = defaultdict[str, list[Tensor]](list)
-        left = number
-        while left > 0:
-            rows = self.replay.sample(min(left, at_once))
-            for batch in rows.unbind(0):
-                self.counters["updates"] += 1
-                found = self.algorithm.take_step(batch, int(self.counters["updates"]))
-                for name, loss in found.items():
-                    losses[name].append(loss)
-            left -= len(rows)
+        for batch in self.experience.draw(number):
+            self.counters["updates"] += 1
+            found = self.algorithm.take_step(batch, int(self.counters["updates"]))
+            for name, loss in found.items():
+                losses[name].append(loss)
         return {name: torch.stack(values) for name, values in losses.items()}
 
     def learn(self, batch: TensorDictBase) -> None:
         """Store a collected batch, make the updates that are due, log both."""
         with self.timed("storing"):
-            transitions = live_transitions(batch, self.group)
-            self.replay.extend(transitions)
+            transitions = self.algorithm.take_in(batch)
+            self.experience.extend(transitions)
             self.counters["transitions"] += len(transitions)
             self.idle.note(batch, len(transitions))
         with self.timed("learning"):
-            config = self.config
-            start = config.replay.warmup_transitions
-            due = max(0, self.transitions - start) / config.optimizer.transitions_per_update
-            losses = self.update(int(due) - int(self.counters["updates"]))
+            updates = int(self.counters["updates"])
+            losses = self.update(self.experience.num_due(self.transitions, updates))
             found = {name: values.tolist() for name, values in losses.items()}
             self.check(found)
         with self.timed("logging"):

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,17 @@ from torch import Tensor
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayBuffer
 
 from marl_lanes.training.config import ConfigError, ReplayConfig
+from marl_lanes.training.experience import Experience
 from marl_lanes.training.transitions import CPU, send
 
 RARE = "is_aborting"
 """The column that says which transitions are rare."""
 
+ROWS_AT_ONCE = 32_768
+"""Rows read together, for as many updates as they make."""
 
-class Replay:
+
+class Replay(Experience):
     """Two rings: the newest transitions, and the newest of the rare ones.
 
     A change that is turned back is one of hundreds, and the way back has to be learned as well: of
@@ -31,6 +35,7 @@ class Replay:
             process left there is removed, for it may be half written.
         bytes_per_transition: size of a row.
         device: where the batches are needed, and where ``storage: memory`` is.
+        transitions_per_update: new transitions for each update.
 
     Raises:
         ConfigError: the disk has too little room for the files and for the training state, which
@@ -43,8 +48,12 @@ class Replay:
         folder: Path,
         bytes_per_transition: float,
         device: torch.device = CPU,
+        *,
+        transitions_per_update: float,
     ) -> None:
         self.folder = folder
+        self.warmup = config.warmup_transitions
+        self.transitions_per_update = transitions_per_update
         self.batch_size = config.batch_size
         self.device = device
         self.is_in_memory = config.storage == "memory"
@@ -99,6 +108,19 @@ class Replay:
             for path in (self.folder / name).rglob("*.memmap"):
                 with path.open("r+b") as file:
                     os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+
+    def num_due(self, transitions: int, updates: int) -> int:
+        """Updates that are due: one for so many transitions, beginning after the first ones."""
+        due = max(0, transitions - self.warmup) / self.transitions_per_update
+        return int(due) - updates
+
+    def draw(self, number: int) -> Iterator[TensorDictBase]:
+        """Draw batches one by one, (batch_size,), on the device."""
+        at_once = max(1, ROWS_AT_ONCE // self.batch_size)
+        while number > 0:
+            rows = self.sample(min(number, at_once))
+            yield from rows.unbind(0)
+            number -= len(rows)
 
     def sample(self, number: int) -> TensorDictBase:
         """Draw ``number`` batches, (number, batch_size), on the device."""

@@ -11,7 +11,7 @@ from torch import nn
 
 from marl_lanes.naf.checkpoint import CheckpointError, check_tensors, read_archive, write_archive
 from marl_lanes.training.collectors import TrafficCollector, WorkerError
-from marl_lanes.training.replay import Replay
+from marl_lanes.training.experience import Experience
 
 _FORMAT = "marl-lanes training state 6"
 
@@ -23,7 +23,7 @@ def save_state(
     tables: Mapping[str, Mapping[str, int | str]],
     loss: nn.Module,
     optimizer: torch.optim.Optimizer,
-    replay: Replay,
+    experience: Experience,
     collector: TrafficCollector,
 ) -> None:
     """Write networks, optimiser, replay buffer, roads, random numbers and counters.
@@ -34,7 +34,7 @@ def save_state(
         tables: where its tables end, from ``RunFolder.take_extents``.
         loss: with the networks.
         optimizer: of the loss.
-        replay: what the updates are drawn from.
+        experience: what the updates are drawn from.
         collector: with the roads.
 
     Raises:
@@ -47,7 +47,7 @@ def save_state(
         "tables": tables,
         "loss": loss.state_dict(),
         "optimizer": optimizer.state_dict(),
-        "replay": replay.state(),
+        "replay": experience.state(),
         "workers": collector.state(),
         "random": torch.get_rng_state(),
         # A replay buffer in a GPU's memory draws there.
@@ -80,7 +80,7 @@ def restore_state(
     *,
     loss: nn.Module,
     optimizer: torch.optim.Optimizer,
-    replay: Replay,
+    experience: Experience,
     collector: TrafficCollector,
 ) -> None:
     """Put everything back; the random numbers last, for building the others draws some.
@@ -90,7 +90,7 @@ def restore_state(
         content: from ``read_state``.
         loss: of an equal run, as the others.
         optimizer: its optimizer.
-        replay: its replay buffer, empty.
+        experience: what its updates are drawn from, empty.
         collector: its collector.
 
     Raises:
@@ -104,7 +104,7 @@ def restore_state(
         loss.load_state_dict(content["loss"])
         # The optimizer keeps the tensors that it is given: those of the file would keep it open.
         optimizer.load_state_dict(copy.deepcopy(content["optimizer"]))
-        replay.restore(content["replay"])
+        experience.restore(content["replay"])
         torch.set_rng_state(content["random"])
         if content["random_cuda"]:
             torch.cuda.set_rng_state_all(content["random_cuda"])

@@ -3,13 +3,19 @@
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
+from marl_lanes.envs.batched import bytes_of_state
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.simulator import bytes_of_road
-from marl_lanes.training.config import ChangersConfig, LearnerConfig
+from marl_lanes.training.config import (
+    ChangersConfig,
+    LearnerConfig,
+    OffPolicyConfig,
+    OnPolicyConfig,
+)
 
 FLAGS = 32
 """[bytes] Of a transition besides observations and actions, at most."""
@@ -50,12 +56,17 @@ def check_networks(
     check_memory(name, weights, NUMBER * COPIES * weights)
     # What the backward pass needs of every layer, and its gradient.
     each = 2.0 * NUMBER * NETWORKS * sum(widths)
-    size = config.replay.batch_size
-    check_memory(f"{section}replay.batch_size", size, size * each)
+    for field, size in _batch_sizes(config):
+        check_memory(f"{section}{field}", size, size * each)
 
 
 def check_sizes(
-    config: LearnerConfig, collected: Scenario, evaluated: Scenario, section: str = ""
+    config: LearnerConfig,
+    collected: Scenario,
+    evaluated: Scenario,
+    section: str = "",
+    *,
+    has_state: bool = False,
 ) -> None:
     """Refuse a training that needs more memory than there is, networks left out.
 
@@ -64,12 +75,21 @@ def check_sizes(
         collected: the scenario in which it collects.
         evaluated: the scenario of the evaluations, with ``num_agents``.
         section: text before the names of the config's fields.
+        has_state: whether the environment that collects has the road's state.
 
     Raises:
         ValueError: the message names the first field that is too large.
     """
-    for name, value, each in _estimates(config, collected, evaluated):
+    for name, value, each in _estimates(config, collected, evaluated, has_state=has_state):
         check_memory(f"{section}{name}", value, float(value) * each)
+
+
+def _batch_sizes(config: LearnerConfig) -> Iterator[tuple[str, int]]:
+    """Name and value of the field that says how large a batch of an update is."""
+    if isinstance(config, OffPolicyConfig):
+        yield "replay.batch_size", config.replay.batch_size
+    if isinstance(config, OnPolicyConfig):
+        yield "epochs.batch_size", config.epochs.batch_size
 
 
 def _num_columns(scenario: Scenario) -> int:
@@ -77,18 +97,22 @@ def _num_columns(scenario: Scenario) -> int:
 
 
 def _estimates(
-    config: LearnerConfig, collected: Scenario, evaluated: Scenario
+    config: LearnerConfig, collected: Scenario, evaluated: Scenario, *, has_state: bool
 ) -> Iterator[tuple[str, int, float]]:
     """Name, value, and bytes for each one of it."""
-    collector, replay, evaluation = config.collector, config.replay, config.evaluation
+    collector, evaluation = config.collector, config.evaluation
     row = 4 * (2 * _num_columns(collected) + len(CHANGER.act(collected))) + FLAGS
     yield "collector.num_envs", collector.num_envs, bytes_of_road(collected)
     # The batch, and the steps that it is stacked from.
-    steps = 2.0 * collector.num_envs * collected.num_slots * row
+    state = bytes_of_state(collected) if has_state else 0
+    # An agent that acts has the state of its own, besides.
+    steps = 2.0 * collector.num_envs * (collected.num_slots * (row + state) + state)
     yield "collector.steps_per_batch", collector.steps_per_batch, steps
-    if replay.storage == "memory":
+    if isinstance(config, OffPolicyConfig) and config.replay.storage == "memory":
+        replay = config.replay
         yield "replay.capacity", replay.capacity, row * (1.0 + replay.rare_share)
-    yield "replay.batch_size", replay.batch_size, row
+    for field, size in _batch_sizes(config):
+        yield field, size, row
     driven = bytes_of_road(evaluated) / (evaluated.num_agents or 1)
     for name in ("num_maneuvers", "final_num_maneuvers"):
         yield f"evaluation.{name}", getattr(evaluation, name), driven + RECORDED

@@ -53,6 +53,7 @@ class WorkerEnv(LaneChangeEnv):
         num_envs: roads of each worker.
         seed: of the run.
         learned_followers: as for ``LaneChangeEnv``.
+        has_state: as for ``LaneChangeEnv``.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class WorkerEnv(LaneChangeEnv):
         *,
         seed: int,
         learned_followers: bool,
+        has_state: bool,
     ) -> None:
         super().__init__(
             scenario,
@@ -70,6 +72,7 @@ class WorkerEnv(LaneChangeEnv):
             seed=seed,
             num_threads=1,
             learned_followers=learned_followers,
+            has_state=has_state,
             first_road=worker * num_envs,
         )
         noise = np.random.SeedSequence(seed, spawn_key=(worker,))
@@ -357,6 +360,7 @@ class _MakeEnv:
         self.num_envs = env.simulator.num_envs
         self.seed = int(env.simulator.roads["random_key"][0])
         self.learned_followers = env.simulator.learned_followers
+        self.has_state = env.has_state
 
     def __call__(self) -> WorkerEnv:
         return WorkerEnv(
@@ -365,4 +369,5 @@ class _MakeEnv:
             self.num_envs,
             seed=self.seed,
             learned_followers=self.learned_followers,
+            has_state=self.has_state,
         )

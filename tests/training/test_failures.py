@@ -80,9 +80,7 @@ def test_a_mean_that_stops_every_weight(key, value):
 
 
 def test_what_may_help_is_named():
-    config = OptimizerConfig(
-        learning_rate=0.5, final_rate=1.0, max_gradient_norm=None, transitions_per_update=1.0
-    )
+    config = OptimizerConfig(learning_rate=0.5, final_rate=1.0, max_gradient_norm=None)
     message = str(explain_divergence(TrainingError("update 3: loss = nan"), config))
     assert message.startswith("update 3: loss = nan; ")
     assert "optimizer.learning_rate = 0.5, optimizer.max_gradient_norm = None" in message

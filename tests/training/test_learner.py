@@ -160,7 +160,7 @@ def test_the_others_are_left_alone(tmp_path):
 def test_many_updates_at_once_are_those_one_by_one(tmp_path, monkeypatch):
     results = []
     for rows_at_once, numbers in ((1, [1] * 7), (48, [7]), (10_000, [5, 0, 2])):
-        monkeypatch.setattr("marl_lanes.training.learner.ROWS_AT_ONCE", rows_at_once)
+        monkeypatch.setattr("marl_lanes.training.replay.ROWS_AT_ONCE", rows_at_once)
         learner = filled(tmp_path / str(rows_at_once))
         torch.manual_seed(9)
         losses = torch.cat(
@@ -199,7 +199,7 @@ def test_a_replay_buffer_of_files_changes_nothing_else(tmp_path):
         run = tmp_path / storage
         learner.begin(run)
         assert learner.train(Crash(run, tmp_path / f"{storage}-crashed", at=2))
-        assert len(learner.replay) == 150
+        assert len(learner.experience) == 150
         assert (run / "replay").exists() == (storage == "memmap")
         learner.close()
         assert not (run / "replay").exists()
@@ -237,7 +237,7 @@ def test_the_memory_of_a_road_and_of_a_transition(tmp_path, make):
     learner = make()
     learner.begin(tmp_path / "run")
     assert learner.train(Evaluation())
-    stored = learner.replay.rings["newest"][:]
+    stored = learner.experience.rings["newest"][:]
     assert learner.memory["bytes_per_stored_transition"] == stored.bytes() / len(stored)
     roads = len(learner.env.simulator.snapshot()) / 8
     assert roads < learner.memory["bytes_per_environment"] < 1.2 * roads

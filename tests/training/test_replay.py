@@ -23,7 +23,7 @@ def make(folder, *, capacity=40, share=0.25, storage="memory"):
         rare_share=share,
         warmup_transitions=0,
     )
-    return Replay(config, folder / "replay", 9.0)
+    return Replay(config, folder / "replay", 9.0, transitions_per_update=4.0)
 
 
 @pytest.mark.parametrize("storage", ["memory", "memmap"])

@@ -49,7 +49,7 @@ class Parts:
             rare_share=0.25,
             warmup_transitions=0,
         )
-        self.replay = Replay(settings, Path("unused"), 0.0)
+        self.replay = Replay(settings, Path("unused"), 0.0, transitions_per_update=1.0)
         noise = AdditiveGaussianModule(
             self.env.full_action_spec,
             action_key=self.env.action_keys[0],
@@ -78,7 +78,7 @@ class Parts:
         return {
             "loss": self.loss,
             "optimizer": self.optimizer,
-            "replay": self.replay,
+            "experience": self.replay,
             "collector": self.collector,
         }
 

@@ -76,7 +76,7 @@ def test_each_is_counted_as_what_it_is(tmp_path, monkeypatch, activity):
     owner, name = {
         "simulate": (learner.env.simulator, "step"),
         "act": (learner.policy[0], "forward"),
-        "store": (learner.replay, "extend"),
+        "store": (learner.experience, "extend"),
         "learn": (learner.algorithm.optimizer, "step"),
         OTHER: (learner, "log"),
         "evaluate": (learner, "save_model"),

@@ -2,24 +2,30 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from pathlib import Path
 from typing import ClassVar
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.objectives.common import LossModule
 
 from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.training.config import LearnerConfig, OffPolicyConfig
+from marl_lanes.training.experience import Experience
+from marl_lanes.training.replay import Replay
+from marl_lanes.training.transitions import live_transitions
 
 
 class Algorithm(ABC):
     """A loss with its optimizer and schedules, and the policy that collects.
 
-    The algorithm is off-policy: the learner draws batches of transitions from its replay buffer.
-    The learner also collects, stores, saves, resumes and evaluates.
+    The algorithm says what a collected batch becomes (``take_in``) and what its updates are drawn
+    from (``make_experience``). The learner collects, stores, draws, saves, resumes and evaluates.
 
     Attributes:
+        config: how the group learns.
         columns: its columns in the table of metrics: the names of its losses, ``loss`` among them,
             and of its schedules.
         pretraining_transitions: transitions of a first stage; 0 if there is only one stage.
@@ -31,6 +37,7 @@ class Algorithm(ABC):
         device: where it learns.
     """
 
+    config: LearnerConfig
     columns: ClassVar[tuple[str, ...]]
     pretraining_transitions: int = 0
     network: PolicyNetwork
@@ -39,6 +46,23 @@ class Algorithm(ABC):
     policy: TensorDictModuleBase
     group: str
     device: torch.device
+
+    @abstractmethod
+    def make_experience(self, folder: Path, bytes_per_transition: float) -> Experience:
+        """What the updates are drawn from.
+
+        Args:
+            folder: for its files, if it has some.
+            bytes_per_transition: size of a row of ``live_transitions``.
+        """
+
+    def take_in(self, batch: TensorDictBase) -> TensorDict:
+        """The transitions of a collected batch, (N,), as the updates need them.
+
+        Args:
+            batch: (E, T) or (N, E/N, T) of slots, which the policy as it is now has collected.
+        """
+        return live_transitions(batch, self.group)
 
     @abstractmethod
     def refresh_policy(self) -> None:
@@ -57,10 +81,26 @@ class Algorithm(ABC):
         """Make one update of the networks, and of the targets if it is due.
 
         Args:
-            batch: transitions from ``live_transitions``, (batch_size,), on the device.
+            batch: transitions from ``take_in``, (batch_size,), on the device.
             number: number of the update, starting with 1.
 
         Returns:
             losses by column, scalars without gradient on the device, so that the call does not wait
             for a GPU. A network that is not updated every time may leave out its loss.
         """
+
+
+class OffPolicy(Algorithm):
+    """An algorithm that learns from a replay buffer."""
+
+    config: OffPolicyConfig
+
+    def make_experience(self, folder: Path, bytes_per_transition: float) -> Replay:
+        """A replay buffer."""
+        return Replay(
+            self.config.replay,
+            folder,
+            bytes_per_transition,
+            self.device,
+            transitions_per_update=self.config.optimizer.transitions_per_update,
+        )

@@ -1,9 +1,11 @@
-"""Gaussian noise on the greedy actions of the agents that act."""
+"""How agents act while transitions are collected: with noise, or drawn from a distribution."""
 
 import copy
 
 import torch
-from tensordict.nn import TensorDictSequential
+from tensordict import TensorDict
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictSequential
+from torch import Tensor, nn
 from torchrl.modules import AdditiveGaussianModule
 
 from marl_lanes.envs.batched import LaneChangeEnv
@@ -73,3 +75,54 @@ class NoisyActor:
         share = min(1.0, transitions / max(1, config.annealing_transitions))
         sigma = config.initial_sigma
         self.noise.sigma.fill_(sigma + share * (config.final_sigma - sigma))
+
+
+class Sampler(nn.Module):
+    """Observations (N, F) to actions (N, D) drawn from their distribution."""
+
+    def __init__(self, policy: ProbabilisticTensorDictSequential) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """The actions."""
+        seen = TensorDict({"observation": observation}, [len(observation)])
+        action: Tensor = self.policy.get_dist(seen).sample()
+        return action
+
+
+class SamplingActor:
+    """A policy that draws its actions.
+
+    Args:
+        policy: that learns.
+        action_dim: D.
+        group: name of the group of agents.
+        device: device of the policy.
+        acting_device: where it acts; on another device it acts with a copy.
+
+    Attributes:
+        policy: writes the group's actions.
+    """
+
+    def __init__(
+        self,
+        policy: ProbabilisticTensorDictSequential,
+        action_dim: int,
+        group: str,
+        device: torch.device,
+        acting_device: torch.device,
+    ) -> None:
+        self._learning = policy
+        self._acting = (
+            policy if acting_device == device else copy.deepcopy(policy).to(acting_device)
+        )
+        sampler = Sampler(self._acting)
+        self.policy = TensorDictSequential(
+            LivePolicy(sampler, action_dim, group, device=acting_device)
+        )
+
+    def refresh(self) -> None:
+        """Copy the learned weights, if it acts with a copy."""
+        if self._acting is not self._learning:
+            self._acting.load_state_dict(self._learning.state_dict())

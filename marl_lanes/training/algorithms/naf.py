@@ -17,16 +17,17 @@ from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.naf.updater import ForeachSoftUpdate
 from marl_lanes.scenario.fields import Real, Section
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.training.algorithms.algorithm import Algorithm
+from marl_lanes.training.algorithms.algorithm import OffPolicy
 from marl_lanes.training.algorithms.exploration import NoisyActor
 from marl_lanes.training.config import (
     ChangersConfig,
     CountOrZero,
     DistributedCollectorConfig,
-    LearnerConfig,
+    ExplorationConfig,
     Magnitude,
     Number,
-    OptimizerConfig,
+    OffPolicyConfig,
+    OffPolicyOptimizerConfig,
     Widths,
 )
 from marl_lanes.training.transitions import CPU
@@ -43,7 +44,7 @@ class NAFLossConfig(Section):
     target_interval: Number = Field(description="updates of the network for one of the target")
 
 
-class NAFOptimizerConfig(OptimizerConfig):
+class NAFOptimizerConfig(OffPolicyOptimizerConfig):
     """Adam for M and V, and for mu; the step sizes fall through stage two."""
 
     mu_learning_rate: Magnitude = Field(
@@ -58,11 +59,12 @@ class NAFOptimizerConfig(OptimizerConfig):
     )
 
 
-class NAFConfig(LearnerConfig):
+class NAFConfig(OffPolicyConfig):
     """How one group learns with NAF."""
 
     loss: NAFLossConfig
     optimizer: NAFOptimizerConfig
+    exploration: ExplorationConfig
 
 
 class NetworkConfig(Section):
@@ -90,7 +92,7 @@ class TrainingConfig(NAFConfig, ChangersConfig):
     )
 
 
-class NAF(Algorithm):
+class NAF(OffPolicy):
     """Normalized advantage functions in two stages: first M and V learn, then mu, too.
 
     Args:
@@ -102,6 +104,7 @@ class NAF(Algorithm):
         acting_device: where it acts; in workers on the CPU.
     """
 
+    config: NAFConfig
     columns = ("stage", "loss", "sigma")
 
     def __init__(

@@ -1,44 +1,35 @@
 """TD3 as an algorithm of the learner, and its configuration."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from pydantic import Field
 from tensordict import TensorDictBase
-from torch import Tensor, nn
-from torch.nn.utils import clip_grad_norm_
-from torchrl.modules import ValueOperator
-from torchrl.objectives import SoftUpdate, TD3Loss
+from torch import Tensor
+from torchrl.objectives import TD3Loss
 
 from marl_lanes.envs.batched import LaneChangeEnv
-from marl_lanes.scenario.fields import Real, Section
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.training.algorithms.actor_critic import ActorNetwork, CriticNetwork
-from marl_lanes.training.algorithms.algorithm import Algorithm
+from marl_lanes.training.algorithms.actor_critic import ActorNetwork
 from marl_lanes.training.algorithms.exploration import NoisyActor
-from marl_lanes.training.config import (
-    LearnerConfig,
-    Magnitude,
-    Number,
-    OptimizerConfig,
-    Sigma,
-    Widths,
+from marl_lanes.training.algorithms.off_policy import (
+    ActorCritic,
+    ActorCriticConfig,
+    CriticLossConfig,
+    make_critics,
+    parameters_of,
 )
+from marl_lanes.training.config import ExplorationConfig, Number, Sigma
 from marl_lanes.training.transitions import CPU
 
 NUM_CRITICS = 2
 """The target is the lower one of their values."""
 
 
-class TD3LossConfig(Section):
+class TD3LossConfig(CriticLossConfig):
     """TD3Loss and its targets."""
 
-    gamma: Real = Field(ge=0.0, le=1.0, description="discount factor")
-    tau: Real = Field(gt=0.0, le=1.0, description="step of the targets' soft update")
-    distance: Literal["l1", "l2", "smooth_l1"] = Field(
-        description="of the critics from their target: l1, l2 or smooth_l1"
-    )
     target_noise: Sigma = Field(
         description="standard deviation of the noise on the target actor's action, of each half "
         "range [1]"
@@ -49,27 +40,14 @@ class TD3LossConfig(Section):
     )
 
 
-class TD3OptimizerConfig(OptimizerConfig):
-    """Adam for the critics, and for the actor."""
-
-    actor_learning_rate: Magnitude = Field(description="step size of the actor")
-
-
-class TD3NetworkConfig(Section):
-    """Form of actor and critics."""
-
-    hidden_sizes: Widths = Field(description="widths of the hidden layers of every network")
-
-
-class TD3Config(LearnerConfig):
+class TD3Config(ActorCriticConfig):
     """How one group learns with TD3."""
 
     loss: TD3LossConfig
-    optimizer: TD3OptimizerConfig
-    network: TD3NetworkConfig
+    exploration: ExplorationConfig
 
 
-class TD3(Algorithm):
+class TD3(ActorCritic):
     """Twin delayed deep deterministic policy gradient.
 
     The target of the critics is r + gamma (1 - terminated) min_i Q_i(s', a'; target), where a' is
@@ -87,6 +65,9 @@ class TD3(Algorithm):
     Source: Fujimoto et al. 2018, "Addressing Function Approximation Error in Actor-Critic Methods".
     """
 
+    config: TD3Config
+    loss: TD3Loss
+    actor: NoisyActor
     columns = ("loss", "actor_loss", "sigma")
 
     def __init__(
@@ -99,56 +80,31 @@ class TD3(Algorithm):
         device: torch.device = CPU,
         acting_device: torch.device = CPU,
     ) -> None:
-        self.config = config
-        self.network: ActorNetwork = network.to(device)
-        self.group = group
-        self.device = device
-        critics = [
-            ValueOperator(
-                CriticNetwork(network, config.network.hidden_sizes),
-                in_keys=["observation", "action"],
-                out_keys=["state_action_value"],
-            ).to(device)
-            for _ in range(NUM_CRITICS)
-        ]
+        network = network.to(device)
         box = network.box
         # TorchRL multiplies and clips with them; as tensors they have a value for each action.
         noise: Any = config.loss.target_noise * box.half_range
         bound: Any = config.loss.target_noise_bound * box.half_range
-        self.loss = TD3Loss(
+        loss = TD3Loss(
             network.policy(),
-            critics,
+            make_critics(network, config.network.hidden_sizes, NUM_CRITICS, device),
             bounds=(box.low, box.high),
             num_qvalue_nets=NUM_CRITICS,
             policy_noise=noise,
             noise_clip=bound,
             loss_function=config.loss.distance,
         )
-        self.loss.make_value_estimator(gamma=config.loss.gamma, device=device)
-        # Its gamma has torch's default dtype, which may be another than that of the networks.
-        self.loss.value_estimator.to(box.low.dtype)
-        self.target_updater = SoftUpdate(self.loss, tau=config.loss.tau)
-        self.critic_parameters = _parameters(self.loss.qvalue_network_params)
-        self.actor_parameters = _parameters(self.loss.actor_network_params)
-        optimizer = config.optimizer
-        self.rates = optimizer.learning_rate, optimizer.actor_learning_rate
-        groups = zip((self.critic_parameters, self.actor_parameters), self.rates, strict=True)
-        self.optimizer = torch.optim.Adam(
-            [{"params": parameters, "lr": rate} for parameters, rate in groups], fused=True
-        )
-        self.actor = NoisyActor(config.exploration, env, network, group, device, acting_device)
-        self.policy = self.actor.policy
-
-    def refresh_policy(self) -> None:
-        """Copy the learned weights to the policy, if it has its own."""
-        self.actor.refresh()
+        loss.make_value_estimator(gamma=config.loss.gamma, device=device)
+        actor = NoisyActor(config.exploration, env, network, group, device, acting_device)
+        parts = [
+            parameters_of(one) for one in (loss.qvalue_network_params, loss.actor_network_params)
+        ]
+        super().__init__(config, network, loss, actor, parts, group=group, device=device)
 
     def anneal(self, transitions: int) -> None:
         """Set noise and step sizes, given the number of transitions so far."""
+        super().anneal(transitions)
         self.actor.anneal(transitions)
-        share = min(1.0, transitions / self.config.collector.total_transitions)
-        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
-            group["lr"] = rate * (1.0 - share * (1.0 - self.config.optimizer.final_rate))
 
     def schedules(self) -> Mapping[str, float]:
         """The noise as a share of each half range."""
@@ -157,23 +113,10 @@ class TD3(Algorithm):
     def take_step(self, batch: TensorDictBase, number: int) -> Mapping[str, Tensor]:
         """Make one update of the critics, and of the actor and the targets if it is due."""
         loss, _ = self.loss.value_loss(batch)
-        self._descend(loss, self.critic_parameters)
+        self.descend(loss, self.critic_parameters)
         if number % self.config.loss.actor_interval:
             return {"loss": loss.detach()}
         actor_loss, _ = self.loss.actor_loss(batch)
-        self._descend(actor_loss, self.actor_parameters)
+        self.descend(actor_loss, self.actor_parameters)
         self.target_updater.step()
         return {"loss": loss.detach(), "actor_loss": actor_loss.detach()}
-
-    def _descend(self, loss: Tensor, parameters: Sequence[nn.Parameter]) -> None:
-        """Update these parameters alone: Adam skips parameters without a gradient."""
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        if self.config.optimizer.max_gradient_norm is not None:
-            clip_grad_norm_(parameters, self.config.optimizer.max_gradient_norm, foreach=True)
-        self.optimizer.step()
-
-
-def _parameters(params: Any) -> list[nn.Parameter]:
-    """The parameters of a loss's network, without its buffers."""
-    return [one for one in params.values(True, True) if isinstance(one, nn.Parameter)]
