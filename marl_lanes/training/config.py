@@ -130,6 +130,11 @@ class ExplorationConfig(Section):
     annealing_transitions: CountOrZero = Field(
         description="transitions over which it falls, linearly"
     )
+    probability: Real = Field(
+        gt=0.0,
+        le=1.0,
+        description="of noise, for each agent in each step; its other actions are greedy",
+    )
     longitudinal_factor: Positive = Field(
         le=1000.0,
         description="multiplies the noise of a second action, the longitudinal acceleration [1]",

@@ -42,7 +42,7 @@ from marl_lanes.training.run_folder import (
 )
 from marl_lanes.training.timing import Split, TimedPolicy, split_time
 from marl_lanes.training.torch_settings import training_settings
-from marl_lanes.training.transitions import finished_maneuvers, live_transitions
+from marl_lanes.training.transitions import finished_maneuvers
 
 EvaluateModel = Callable[[PolicyNetwork, Path | None], Mapping[str, Any]]
 """What a network achieves as it is: metrics by name, numbers or None. The first road is recorded
@@ -111,7 +111,7 @@ class Learner:
         # A step that is not taken has the form of one.
         step = self.env.fake_tensordict()
         step[self.group, "acting"] = torch.ones_like(step[self.group, "acting"])
-        row = live_transitions(step, self.group)[:1]
+        row = self.algorithm.take_in(step.unsqueeze(-1))[:1]
         # The buffer adds the row's index.
         index = torch.int64.itemsize
         return {

@@ -24,7 +24,13 @@ def send(rows: Rows, device: torch.device) -> Rows:
     return rows.pin_memory().to(device, non_blocking=True)
 
 
-def live_transitions(batch: TensorDictBase, group: str = CHANGER.group) -> TensorDict:
+def live_transitions(
+    batch: TensorDictBase,
+    group: str = CHANGER.group,
+    *,
+    num_steps: int = 1,
+    gamma: float = 1.0,
+) -> TensorDict:
     """The transitions of the agents that acted, one row each, for a replay buffer.
 
     Rows are those in which the agent was ``acting``: its action had an effect. ``terminated`` and
@@ -33,33 +39,71 @@ def live_transitions(batch: TensorDictBase, group: str = CHANGER.group) -> Tenso
     after it is another attempt, in a world that the observation does not tell from the present one:
     a value that looked into it would be a mixture of both.
 
+    With ``num_steps`` n a row looks ahead over n steps, or fewer where its attempt or the batch
+    ends: its reward is sum_k gamma^k r_k, and "next" is that of the last of them.
+
     Args:
-        batch: (E, T) from a collector over ``LaneChangeEnv``, or of any shape before the slots.
+        batch: (E, T) from a collector over ``LaneChangeEnv``; with one step of any shape before the
+            slots.
         group: the group's name.
+        num_steps: n, 1 or more.
+        gamma: discount factor of the rewards.
 
     Returns:
         (N,) with observation, action, of changers is_aborting (N,), and next: observation, reward,
-        done, terminated, truncated.
+        done, terminated, truncated. With more than one step also steps_to_next_obs (N, 1) int64,
+        where TorchRL's value estimators look for the exponent of gamma.
     """
     now, after = batch[group], batch["next", group]
-    acting = now["acting"]
-    rows = {
-        "observation": now["observation"][acting],
-        "action": now["action"][acting],
-    }
     following = {
-        key: after[key][acting]
-        for key in ("observation", "reward", "done", "terminated", "truncated")
+        key: after[key] for key in ("observation", "reward", "done", "terminated", "truncated")
     }
-    is_over = ~after["acting"][acting].unsqueeze(-1)
+    is_over = ~after["acting"].unsqueeze(-1)
     if group == CHANGER.group:
-        rows["is_aborting"] = now["aborting"][acting]
         # Missed, and the horizon: the road ends, and not the attempt.
         is_over &= ~following["truncated"]
     following["done"] = following["done"] | is_over
     following["terminated"] = following["terminated"] | is_over
+    columns = {"observation": now["observation"], "action": now["action"]}
+    if group == CHANGER.group:
+        columns["is_aborting"] = now["aborting"]
+    if num_steps > 1:
+        following, columns["steps_to_next_obs"] = _look_ahead(
+            following, batch.ndim - 1, num_steps, gamma
+        )
+    acting = now["acting"]
+    rows = {key: column[acting] for key, column in columns.items()}
     size = [rows["action"].shape[0]]
-    return TensorDict({**rows, "next": TensorDict(following, size)}, size, device=batch.device)
+    ends = TensorDict({key: column[acting] for key, column in following.items()}, size)
+    return TensorDict({**rows, "next": ends}, size, device=batch.device)
+
+
+def _look_ahead(
+    following: dict[str, Tensor], time: int, num_steps: int, gamma: float
+) -> tuple[dict[str, Tensor], Tensor]:
+    """What follows after several steps, and after how many, (..., T, A, 1).
+
+    TorchRL's MultiStep leaves done and terminated where they are, so a target would bootstrap from
+    the end of an episode.
+    """
+    done, reward = following["done"], following["reward"]
+    length = done.shape[time]
+    shape = [1] * done.ndim
+    shape[time] = length
+    start = torch.arange(length, device=done.device).view(shape).expand_as(done)
+    last, total, goes_on = start, reward, ~done
+    for step in range(1, min(num_steps, length)):
+        later = (start + step).clamp(max=length - 1)
+        goes_on = goes_on & (start + step < length)
+        total = total + gamma**step * goes_on * reward.gather(time, later)
+        last = torch.where(goes_on, later, last)
+        goes_on = goes_on & ~done.gather(time, later)
+    found = {
+        key: column.gather(time, last.expand_as(column))
+        for key, column in following.items()
+        if key != "reward"
+    }
+    return {**found, "reward": total}, last - start + 1
 
 
 def finished_maneuvers(batch: TensorDictBase, group: str = CHANGER.group) -> tuple[Tensor, Tensor]:

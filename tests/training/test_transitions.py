@@ -93,6 +93,30 @@ def test_the_rows_of_steering_agents_are_kept_and_no_others(batch):
     assert len(kept) < int(now["mask"].sum()) < now["mask"].numel()
 
 
+@pytest.mark.parametrize("num_steps", [2, 5, 1000])
+def test_a_row_looks_ahead_to_the_end_of_its_attempt_or_of_the_batch(batch, num_steps):
+    gamma = 0.9
+    rows = live_transitions(batch, num_steps=num_steps, gamma=gamma)
+    ones = live_transitions(batch)
+    where = {place: row for row, place in enumerate(loop(batch))}
+    lengths = set()
+    for row, (env, time, slot) in enumerate(loop(batch)):
+        reward, last = 0.0, row
+        for step in range(num_steps):
+            last = where[env, time + step, slot]
+            reward += gamma**step * ones["next", "reward"][last].item()
+            is_last = time + step == batch.shape[1] - 1
+            if is_last or ones["next", "done"][last]:
+                break
+        lengths.add(step + 1)
+        assert rows["steps_to_next_obs"][row].item() == step + 1
+        assert rows["next", "reward"][row].item() == pytest.approx(reward, rel=1e-5)
+        for key in ("observation", "done", "terminated", "truncated"):
+            assert torch.equal(rows["next", key][row], ones["next", key][last]), key
+        assert torch.equal(rows["observation"][row], ones["observation"][row])
+    assert lengths >= set(range(1, min(num_steps, 20) + 1))
+
+
 def returned_to_waiting(rows):
     before, after = rows["observation"][:, PHASE], rows["next", "observation"][:, PHASE]
     return (before == Phase.ABORTING) & (after == Phase.WAITING)

@@ -53,7 +53,7 @@ class Algorithm(ABC):
 
         Args:
             folder: for its files, if it has some.
-            bytes_per_transition: size of a row of ``live_transitions``.
+            bytes_per_transition: size of a row of ``take_in``.
         """
 
     def take_in(self, batch: TensorDictBase) -> TensorDict:

@@ -3,8 +3,12 @@
 import copy
 
 import torch
-from tensordict import TensorDict
-from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictSequential
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import (
+    ProbabilisticTensorDictSequential,
+    TensorDictModuleBase,
+    TensorDictSequential,
+)
 from torch import Tensor, nn
 from torchrl.modules import AdditiveGaussianModule
 
@@ -12,6 +16,37 @@ from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.naf.checkpoint import PolicyNetwork
 from marl_lanes.training.config import ExplorationConfig
 from marl_lanes.training.transitions import CPU, LivePolicy
+
+
+class OccasionalNoise(TensorDictModuleBase):
+    """Noise on the actions of some agents in a step, drawn anew in every step; the others' stay.
+
+    The steps after a noisy action are then mostly greedy, so that what comes of it is what the
+    policy makes of it. And where the action is mu, Q is V, whatever the shape of Q is elsewhere.
+
+    Args:
+        noise: writes noisy actions over the greedy ones.
+        action_key: of the actions, (..., A, D).
+        probability: of noise, for an agent in a step [1].
+    """
+
+    def __init__(
+        self, noise: AdditiveGaussianModule, action_key: tuple[str, str], probability: float
+    ) -> None:
+        super().__init__()
+        self.noise = noise
+        self.action_key = action_key
+        self.probability = probability
+        self.in_keys = [action_key]
+        self.out_keys = [action_key]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the actions over the greedy ones."""
+        greedy = tensordict[self.action_key].clone()
+        noisy = self.noise(tensordict)[self.action_key]
+        is_noisy = torch.rand(greedy.shape[:-1], device=greedy.device) < self.probability
+        tensordict[self.action_key] = torch.where(is_noisy.unsqueeze(-1), noisy, greedy)
+        return tensordict
 
 
 class NoisyActor:
@@ -57,7 +92,10 @@ class NoisyActor:
         greedy = LivePolicy(
             self.network.policy().module, len(self.noise.std), group, device=acting_device
         )
-        self.policy = TensorDictSequential(greedy, self.noise)
+        noise = self.noise
+        if config.probability < 1.0:
+            noise = OccasionalNoise(self.noise, (group, "action"), config.probability)
+        self.policy = TensorDictSequential(greedy, noise)
 
     @property
     def sigma(self) -> float:

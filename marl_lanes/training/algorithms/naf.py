@@ -5,7 +5,7 @@ from typing import Literal
 
 import torch
 from pydantic import Field
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_
 from torchrl.objectives import HardUpdate
@@ -13,6 +13,7 @@ from torchrl.objectives import HardUpdate
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.naf.joined import join_parameters
 from marl_lanes.naf.loss import NAFLoss
+from marl_lanes.naf.mu import ComposedMu
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.naf.updater import ForeachSoftUpdate
 from marl_lanes.scenario.fields import Real, Section
@@ -30,7 +31,7 @@ from marl_lanes.training.config import (
     OffPolicyOptimizerConfig,
     Widths,
 )
-from marl_lanes.training.transitions import CPU
+from marl_lanes.training.transitions import CPU, live_transitions
 
 
 class NAFLossConfig(Section):
@@ -39,6 +40,11 @@ class NAFLossConfig(Section):
     gamma: Real = Field(ge=0.0, le=1.0, description="discount factor")
     target_update: Literal["soft", "hard"] = Field(
         description="soft: Polyak averaging by tau; hard: a copy"
+    )
+    num_steps: Number = Field(
+        le=1000,
+        description="steps of reward before the target's value: more bring the value of an end "
+        "sooner to the states before it; at most to the end of a collected batch",
     )
     tau: Real = Field(gt=0.0, le=1.0, description="step of the soft update")
     target_interval: Number = Field(description="updates of the network for one of the target")
@@ -49,6 +55,10 @@ class NAFOptimizerConfig(OffPolicyOptimizerConfig):
 
     mu_learning_rate: Magnitude = Field(
         description="step size of mu: smaller, V keeps up with the policy that it has to value"
+    )
+    longitudinal_learning_rate: Magnitude | None = Field(
+        description="step size of the part of mu that accelerates, where it has one of its own; "
+        "null: as mu_learning_rate"
     )
     pretraining_transitions: CountOrZero = Field(
         description="length of stage one, which trains M and V alone"
@@ -122,13 +132,12 @@ class NAF(OffPolicy):
         self.network: NAFNetwork = network.to(device)
         self.group = group
         self.device = device
+        parts = self._parts()
         # One tensor for parameters that learn together: the optimizer's cost is mostly per tensor.
-        parts = [*network.factor_logits.parameters(), *network.value.parameters()]
-        self.joined = [join_parameters(part) for part in (parts, list(network.mu.parameters()))]
+        self.joined = [join_parameters(parameters) for parameters, _ in parts]
         self.gradients = [block.grad for block in self.joined if block.grad is not None]
         rates: dict[float, list[nn.Parameter]] = {}
-        steps = config.optimizer.learning_rate, config.optimizer.mu_learning_rate
-        for block, rate in zip(self.joined, steps, strict=True):
+        for block, (_, rate) in zip(self.joined, parts, strict=True):
             rates.setdefault(rate, []).append(block)
         self.rates = tuple(rates)
         self.loss = NAFLoss(network)
@@ -145,6 +154,23 @@ class NAF(OffPolicy):
         self.actor = NoisyActor(config.exploration, env, network, group, device, acting_device)
         self.policy = self.actor.policy
 
+    def _parts(self) -> list[tuple[list[nn.Parameter], float]]:
+        """Parameters that learn together, with their step sizes: M and V first, then mu's."""
+        network, optimizer = self.network, self.config.optimizer
+        mu, rate = network.mu, optimizer.mu_learning_rate
+        critic = [*network.factor_logits.parameters(), *network.value.parameters()]
+        parts = [(critic, optimizer.learning_rate)]
+        longitudinal = optimizer.longitudinal_learning_rate
+        if longitudinal is None or not isinstance(mu, ComposedMu):
+            return [*parts, (list(mu.parameters()), rate)]
+        pieces = (mu.lateral, rate), (mu.longitudinal, longitudinal)
+        return [*parts, *((list(piece.parameters()), step) for piece, step in pieces)]
+
+    def take_in(self, batch: TensorDictBase) -> TensorDict:
+        """The transitions of a collected batch, (N,), over ``loss.num_steps`` steps each."""
+        loss = self.config.loss
+        return live_transitions(batch, self.group, num_steps=loss.num_steps, gamma=loss.gamma)
+
     def refresh_policy(self) -> None:
         """Copy the learned weights to the policy, if it has its own."""
         self.actor.refresh()
@@ -159,7 +185,8 @@ class NAF(OffPolicy):
             group["lr"] = rate * (1.0 - share * (1.0 - optimizer.final_rate))
         is_stage_one = transitions < stage_one
         # Adam passes over what has no gradient; a zero one it would count as a step.
-        self.joined[1].grad = None if is_stage_one else self.gradients[1]
+        for block, gradient in zip(self.joined[1:], self.gradients[1:], strict=True):
+            block.grad = None if is_stage_one else gradient
         self.network.mu_frozen = is_stage_one
         self.loss.value_network.mu_frozen = is_stage_one
 

@@ -64,9 +64,13 @@ def test_the_noise_is_a_share_of_each_half_range(sigma, factor):
     learner.collector.shutdown()
 
 
-def noisy_actor(acting_device="cpu"):
+def noisy_actor(acting_device="cpu", probability=1.0):
     settings = ExplorationConfig(
-        initial_sigma=0.4, final_sigma=0.1, annealing_transitions=200, longitudinal_factor=1.0
+        initial_sigma=0.4,
+        final_sigma=0.1,
+        annealing_transitions=200,
+        probability=probability,
+        longitudinal_factor=1.0,
     )
     env = LaneChangeEnv("paper", 1, seed=0)
     network = make_network(env.scenario, "damped", [8])
@@ -81,6 +85,20 @@ def test_the_noise_falls_linearly_to_its_final_size():
         actor.anneal(transitions)
         found.append(actor.sigma)
     assert found == pytest.approx([0.4, 0.325, 0.25, 0.1, 0.1])
+
+
+def test_of_the_actions_a_share_is_noisy():
+    actor, network = noisy_actor(probability=0.2)
+    observation = torch.randn(500, 4, len(network.features))
+    agents = TensorDict({"observation": observation, "acting": torch.ones(500, 4) > 0}, [500, 4])
+    drive = network.policy().module
+    greedy, found = drive(observation), []
+    for _ in range(3):
+        action = actor.policy(TensorDict({"changers": agents.clone()}, [500]))["changers", "action"]
+        found.append((action != greedy).all(-1))
+        assert (action - greedy)[found[-1]].std().item() == pytest.approx(0.4 * 0.5, rel=0.3)
+    assert torch.stack(found).float().mean().item() == pytest.approx(0.2, abs=0.02)
+    assert not torch.equal(found[0], found[1])
 
 
 @pytest.mark.parametrize("acting_device", ["cpu", "cpu:0"])
