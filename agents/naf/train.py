@@ -14,6 +14,7 @@ from pathlib import Path
 import torch
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
+from marl_lanes.evaluation.policies import make_mpc_policy
 from marl_lanes.experiment import run, start
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.terminal import lenient_streams
@@ -21,6 +22,7 @@ from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
 from marl_lanes.training.command_line import Fields, describe_command, read_command_line, refusing
 from marl_lanes.training.config import ConfigError, read_changers_config
+from marl_lanes.training.demonstrations import collect_demonstrations, imitate
 from marl_lanes.training.sizes import check_networks
 
 FOLDER = Path(__file__).parent
@@ -62,6 +64,11 @@ def make_algorithm(
 ) -> NAF:
     """NAF with the network that the training starts from."""
     network = start_network(config, scenario)
+    # A run that is resumed has weights of its own.
+    if config.demonstrations.num_transitions and config.resume is None:
+        expert = make_mpc_policy(env.scenario)
+        shown = collect_demonstrations(env.scenario, expert, config.demonstrations, config.seed)
+        imitate(network, *shown, config.demonstrations)
     return NAF(config, env, network, device=device, acting_device=acting_device)
 
 

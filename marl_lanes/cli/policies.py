@@ -5,7 +5,15 @@ from typing import Any
 
 from marl_lanes.scenario import Scenario
 
-UNTRAINED = ("tuned-cascade", "cascade-prior", "damped-prior", "lane-keeping", "random")
+UNTRAINED = (
+    "tuned-cascade",
+    "quintic",
+    "mpc",
+    "cascade-prior",
+    "damped-prior",
+    "lane-keeping",
+    "random",
+)
 """Names of the policies without learning."""
 
 
@@ -32,6 +40,10 @@ def make_policy(name: str, scenario: Scenario, seed: int) -> Any:
         return policies.make_lane_keeping_policy(scenario)
     if name == "tuned-cascade":
         return policies.make_tuned_cascade_policy(scenario)
+    if name == "quintic":
+        return policies.make_quintic_policy(scenario)
+    if name == "mpc":
+        return policies.make_mpc_policy(scenario)
 
     import torch
 

@@ -5,13 +5,12 @@ The duration is free. Only the steering is optimized; the speed profile is that 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from marl_lanes.evaluation.linear_program import Program
+from marl_lanes.evaluation.linear_program import Program, descend
 from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE, Replay
 from marl_lanes.scenario import Scenario
 from marl_lanes.traffic.parameters import make_parameters
@@ -199,7 +198,7 @@ class _Search:
         found = {}
         for n, left, cost, right in zip(tried, costs, costs[1:], costs[2:], strict=False):
             if cost <= limit and left >= cost <= right:
-                floor = _descend(self.cost_of, n, self.longest)
+                floor = descend(self.cost_of, n, self.longest)
                 found[floor] = self.solved[floor][1]
         return found
 
@@ -280,18 +279,6 @@ class _Search:
             * (np.abs(known[DEVIATION]) / self.reward.average_deviation).sum()
         )
         return float(cost), bool((np.abs(known[:, -1]) <= self.bounds).all())
-
-
-def _descend(cost_of: Callable[[int], float], start: int, longest: int) -> int:
-    """Descend to a local minimum of the cost over the duration."""
-    best = start
-    while True:
-        # Among equal costs the shortest duration.
-        near = [n for n in (best - 1, best, best + 1) if 1 <= n <= longest]
-        cheapest = min(near, key=cost_of)
-        if cost_of(cheapest) == cost_of(best) and cheapest >= best:
-            return best
-        best = cheapest
 
 
 def _checked_speed(speed: npt.ArrayLike) -> FloatArray:

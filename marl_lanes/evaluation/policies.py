@@ -7,6 +7,8 @@ import torch
 from numpy.typing import NDArray
 
 from marl_lanes.evaluation.driving import Policy
+from marl_lanes.evaluation.mpc import RecedingHorizon
+from marl_lanes.evaluation.quintic import steer_by_quintic
 from marl_lanes.naf.lateral import TUNED_CASCADE, steer_by_cascade
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.traffic.roles.changer import CHANGER
@@ -70,21 +72,59 @@ def make_tuned_cascade_policy(scenario: Scenario) -> Policy:
     return _make_steering_policy(scenario, "tuned-cascade", steer)
 
 
+def make_quintic_policy(scenario: Scenario) -> Policy:
+    """A quintic polynomial to the target lane's centre, planned anew at every step.
+
+    A second action, if the scenario has one, is the car-following acceleration.
+
+    Raises:
+        ScenarioError: a feature that it needs is not observed.
+    """
+
+    def steer(speed: Column, deviation: Column, yaw: Column, turning: Column) -> Column:
+        return steer_by_quintic(speed, deviation, yaw, turning, scenario.time_step)
+
+    return _make_steering_policy(scenario, "quintic", steer)
+
+
+def make_mpc_policy(scenario: Scenario) -> Policy:
+    """Model-predictive control: the linear program of the optimum on a receding horizon.
+
+    A second action, if the scenario has one, is the car-following acceleration.
+
+    Raises:
+        ScenarioError: a feature that it needs is not observed.
+    """
+    return _make_steering_policy(
+        scenario, "mpc", RecedingHorizon(scenario).steer, ("acceleration",)
+    )
+
+
 def _make_steering_policy(
-    scenario: Scenario, name: str, steer: Callable[[Column, Column, Column, Column], Column]
+    scenario: Scenario, name: str, steer: Callable[..., Column], more: Sequence[str] = ()
 ) -> Policy:
-    """A policy that steers by ``steer`` (yaw rate relative to the road), with car following."""
-    has_longitudinal = scenario.action.longitudinal is not None
-    needed = (*_STEERING_FEATURES, _CAR_FOLLOWING) if has_longitudinal else _STEERING_FEATURES
+    """A policy that steers by ``steer``, with car following.
+
+    Args:
+        scenario: that it drives on.
+        name: of the policy, for messages.
+        steer: speed, deviation, yaw, yaw rate relative to the road, and the features ``more``,
+            (N,) each, to the yaw acceleration (N,).
+        more: further features that it needs.
+    """
+    needed = (*_STEERING_FEATURES, *more)
+    num_steering = len(needed)
+    if scenario.action.longitudinal is not None:
+        needed = (*needed, _CAR_FOLLOWING)
     columns = _columns(scenario, needed, name)
     low, high = _bounds(scenario)
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         seen = observations[:, columns].astype(np.float64)
         # Copies, because torch needs contiguous rows.
-        speed, deviation, yaw, yaw_rate, curvature = seen[:, : len(_STEERING_FEATURES)].T.copy()
-        steering = steer(speed, deviation, yaw, yaw_rate - curvature * speed)
-        actions = np.column_stack([steering, seen[:, len(_STEERING_FEATURES) :]])
+        speed, deviation, yaw, yaw_rate, curvature, *others = seen[:, :num_steering].T.copy()
+        steering = steer(speed, deviation, yaw, yaw_rate - curvature * speed, *others)
+        actions = np.column_stack([steering, seen[:, num_steering:]])
         return np.asarray(np.clip(actions, low, high))
 
     return act

@@ -6,6 +6,8 @@ import pytest
 from marl_lanes import ScenarioError, load_scenario
 from marl_lanes.evaluation.policies import (
     make_lane_keeping_policy,
+    make_mpc_policy,
+    make_quintic_policy,
     make_random_policy,
     make_tuned_cascade_policy,
 )
@@ -70,14 +72,46 @@ def test_lane_keeping_finds_its_features_in_any_order():
     assert actions == pytest.approx(make_lane_keeping_policy(PAPER)(row))
 
 
+MAKERS = {
+    "lane-keeping": make_lane_keeping_policy,
+    "tuned-cascade": make_tuned_cascade_policy,
+    "quintic": make_quintic_policy,
+    "mpc": make_mpc_policy,
+}
+
+
 @pytest.mark.parametrize("missing", ["speed", "lateral_deviation", "yaw", "yaw_rate", "curvature"])
-@pytest.mark.parametrize("name", ["lane-keeping", "tuned-cascade"])
+@pytest.mark.parametrize("name", MAKERS)
 def test_a_steering_policy_names_the_feature_that_it_lacks(missing, name):
     features = [feature for feature in FEATURES if feature != missing]
     other = load_scenario("paper", {"observation": {"features": features}})
-    makers = {"lane-keeping": make_lane_keeping_policy, "tuned-cascade": make_tuned_cascade_policy}
     with pytest.raises(ScenarioError, match=rf"'paper'.*must contain \['{missing}'\] .*{name}"):
-        makers[name](other)
+        MAKERS[name](other)
+
+
+def test_the_mpc_needs_the_acceleration_too():
+    features = [feature for feature in FEATURES if feature != "acceleration"]
+    other = load_scenario("paper", {"observation": {"features": features}})
+    with pytest.raises(ScenarioError, match=r"must contain \['acceleration'\] for the policy mpc"):
+        make_mpc_policy(other)
+    assert make_quintic_policy(other)(np.zeros((1, 5), np.float32)).shape == (1, 1)
+
+
+@pytest.mark.parametrize("make", [make_quintic_policy, make_mpc_policy])
+def test_a_planned_lane_change_is_completed(make):
+    scenario = load_scenario("curved", SHORT)
+    maneuvers = run_maneuvers(scenario, make(scenario), 4, seed=1)
+    assert [one.outcome for one in maneuvers] == [Outcome.COMPLETED] * 4
+
+
+@pytest.mark.parametrize("make", [make_quintic_policy, make_mpc_policy])
+def test_a_planner_turns_with_the_road(make):
+    """In a curve it does what it does on a straight road at the same yaw rate relative to it."""
+    straight = np.asarray([[20.0, 0.5, 0.5, 0.04, 0.01, 0.0]], np.float32)
+    curved = straight + np.asarray([[0.0, 0.0, 0.0, 0.0, 0.04, 0.002]], np.float32)
+    act = make(PAPER)
+    assert act(curved) == pytest.approx(act(straight), abs=1e-4)
+    assert abs(act(straight)[0, 0]) > 0.01
 
 
 def test_the_tuned_cascade_by_hand():
@@ -130,7 +164,7 @@ BOTH = load_scenario(
 def test_a_steering_policy_with_two_actions_follows_the_car_ahead():
     rows = np.asarray([[20.0, 0.0, 3.85, 0.01, 0.02, 0.001]] * 4, np.float32)
     wanted = np.asarray([[0.75], [-1.25], [9.0], [-9.0]], np.float32)
-    for make in (make_lane_keeping_policy, make_tuned_cascade_policy):
+    for make in MAKERS.values():
         actions = make(BOTH)(np.hstack([rows, wanted]))
         assert actions[:, :1] == pytest.approx(make(PAPER)(rows))
         assert actions[:, 1].tolist() == [0.75, -1.25, 1.5, -2.5]

@@ -31,6 +31,7 @@ from marl_lanes.training.config import (
     OffPolicyOptimizerConfig,
     Widths,
 )
+from marl_lanes.training.demonstrations import DemonstrationsConfig
 from marl_lanes.training.transitions import CPU, live_transitions
 
 
@@ -97,6 +98,7 @@ class TrainingConfig(NAFConfig, ChangersConfig):
     collector: DistributedCollectorConfig
     recipe: str = Field(description="the recipe's name")
     network: NetworkConfig
+    demonstrations: DemonstrationsConfig
     initial_checkpoint: str | None = Field(
         description="a checkpoint whose weights the training starts from; null: from none"
     )
