@@ -29,6 +29,7 @@ from marl_lanes.terminal import lenient_streams
 from marl_lanes.training.checkpoint import load_policy
 from marl_lanes.training.command_line import Parser, refusing
 from marl_lanes.training.config import ConfigError
+from marl_lanes.training.failures import ending
 from marl_lanes.training.run_folder import CHECKPOINTS_FOLDER, FINAL_MODEL, TIMES_FILE
 from marl_lanes.zoo.index import FOLDER, INDEX_FILE, PREFIX
 
@@ -169,8 +170,8 @@ QUICK: Mapping[str, tuple[str, ...]] = {
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, measure, write."""
     options = parse(arguments)
-    with refusing():
-        zoo = Zoo(options)
+    zoo = Zoo(options)
+    with ending(zoo.output), refusing():
         if not zoo.train():
             print("interrupted; the same command goes on")
             return
@@ -251,11 +252,15 @@ class Zoo:
 
     def _run(self, name: str) -> Run:
         policy = POLICIES[name]
-        arguments = " ".join(policy.arguments)
-        for opponent in policy.opponents:
-            arguments = arguments.replace(PREFIX + opponent, str(self._model(opponent)))
+        arguments = map(self._place, policy.arguments)
         quick = QUICK[policy.program] if self.options.quick else ()
-        return Run(name, policy.program, (*arguments.split(" "), f"seed={policy.seed}", *quick))
+        return Run(name, policy.program, (*arguments, f"seed={policy.seed}", *quick))
+
+    def _place(self, argument: str) -> str:
+        """The argument, with the file of the policy that zoo:NAME stands for."""
+        field, _, value = argument.partition("=")
+        is_of_zoo = value.startswith(PREFIX)
+        return f"{field}={self._model(value.removeprefix(PREFIX))}" if is_of_zoo else argument
 
     def _model(self, name: str) -> Path:
         return self.output / name / POLICIES[name].model
