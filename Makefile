@@ -6,6 +6,8 @@
 #                each in a virtual environment of its own: .venv-lowest, .venv-newest
 # make coverage - the lines of marl_lanes that the tests of `make test` run; kernels count where they are interpreted
 # make mutation - small faults put into naf/ and traffic/, and which of them the tests let pass: hours (ARGS="--share 0.1": less)
+# make zoo - train the policies of marl_lanes/zoo/ anew, measure them, write their files and the index: an hour
+#            (ARGS="--processes N": N trainings at a time)
 # make figures - draw the figures of docs/ anew, in half a minute
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
 #                  pictures with highway-env's
@@ -27,7 +29,7 @@ INTERPRETED := -m "not (training or slow or long)" tests/traffic/test_golden.py 
 # What stands before the tests of `check` and `test`, side by side.
 MAKEFLAGS += --jobs=2
 
-.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels figures benchmark clean
+.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels zoo figures benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -75,6 +77,9 @@ lint: $(VENV)/installed
 # Compiled once, before several processes would each do it.
 kernels: $(VENV)/installed
 	$(BIN)/python -c "from marl_lanes import Simulator; Simulator('paper').reset()"
+
+zoo: $(VENV)/installed
+	$(BIN)/python agents/zoo/make.py $(ARGS)
 
 figures: $(VENV)/installed
 	$(BIN)/marl-lanes followers --policy tuned-cascade --scenario dense \

@@ -1,5 +1,6 @@
 """Networks to be saved, and files that are no checkpoints."""
 
+import hashlib
 import pickle
 from pathlib import Path
 
@@ -7,8 +8,11 @@ import pytest
 import torch
 
 from marl_lanes import load_scenario
+from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import FORMAT, CheckpointError
+from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
+from marl_lanes.zoo.index import INDEX_FILE
 
 PAPER = load_scenario("paper")
 LONGITUDINAL = load_scenario(
@@ -57,6 +61,34 @@ def save_trained(path):
     """Write a checkpoint of such a network; returns its path."""
     save_checkpoint(path, trained(), "paper", 1234)
     return path
+
+
+def write_zoo(folder):
+    """Write a zoo of the changer ``paper`` and the follower ``adversary``; returns its folder."""
+    save_trained(folder / "paper.pt")
+    torch.manual_seed(5)
+    driver = make_network(PAPER, "mlp", [8], role=FOLLOWER)
+    save_checkpoint(folder / "adversary.pt", driver, "paper", 5678)
+    index = {}
+    for name, role, transitions in (("paper", "changer", 1234), ("adversary", "follower", 5678)):
+        success, ratio = ({"value": value, "low": None, "high": None} for value in (0.9995, 1.0271))
+        training = {"scenario": "paper", "transitions": transitions, "seconds": 1.5}
+        index[name] = {
+            "description": f"The {role} of a test.",
+            "role": role,
+            "sha256": hashlib.sha256((folder / f"{name}.pt").read_bytes()).hexdigest(),
+            "training": {**training, "command": "python agents/naf/train.py"},
+            "rows": [
+                {
+                    "policy": "zoo:paper",
+                    "task": "paper",
+                    "num_maneuvers": 10_000,
+                    "statistics": {"success_rate": success, "cost_ratio": ratio},
+                }
+            ],
+        }
+    write_json(folder / INDEX_FILE, index)
+    return folder
 
 
 def assert_runs_no_code(read, folder, save):

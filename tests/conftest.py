@@ -82,3 +82,14 @@ def policy_file(tmp_path):
     from checkpoints import save_trained
 
     return save_trained(tmp_path / "policy.pt")
+
+
+@pytest.fixture
+def small_zoo(tmp_path_factory, monkeypatch):
+    """A zoo of a changer and a follower that are soon read, in place of the package's."""
+    from checkpoints import write_zoo
+
+    from marl_lanes.zoo import index
+
+    monkeypatch.setattr(index, "FOLDER", tmp_path_factory.mktemp("zoo"))
+    return write_zoo(index.FOLDER)

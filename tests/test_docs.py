@@ -12,6 +12,14 @@ import pytest
 from pydantic import BaseModel
 
 from marl_lanes import Scenario, load_scenario
+from marl_lanes.evaluation.benchmark_tables import (
+    BEGIN,
+    COMFORT,
+    END,
+    OUTCOMES,
+    format_markdown,
+    read_rows,
+)
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.traffic.roles.changer import FEATURES
 from marl_lanes.training.algorithms.naf import TrainingConfig
@@ -156,6 +164,22 @@ def test_every_metric_is_documented():
     measured = set(summarise([lane_change()]))
     assert len(measured) > 25
     assert documented == measured
+
+
+def test_the_tables_of_the_benchmark_are_of_its_rows():
+    rows = [row for path in sorted(DOCS.glob("benchmark/*.json")) for row in read_rows(path)]
+    assert rows
+    page = text_of(DOCS / "benchmark.md")
+    hint = "marl-lanes benchmark-table docs/benchmark/*.json --page docs/benchmark.md"
+    assert page.partition(BEGIN)[2].partition(END)[0].strip() == format_markdown(rows), hint
+
+
+def test_every_statistic_of_the_benchmark_is_explained():
+    page = text_of(DOCS / "benchmark.md")
+    meanings = page.partition("## Metrics")[2].partition("\n## ")[0]
+    explained = set(", ".join(re.findall(r"^\| ([^|]+) \|", meanings, re.MULTILINE)).split(", "))
+    titles = {title.partition(" [")[0] for _, title, _, _ in (*OUTCOMES, *COMFORT)}
+    assert titles <= explained
 
 
 def test_every_column_of_a_trajectory_is_documented():

@@ -30,6 +30,9 @@ for _ in range(60):
     rewards += env.step({agent: [0.05] for agent in env.agents})[1].values()
 assert all(Path(module.__file__).is_relative_to(sys.prefix) for module in modules), modules
 assert min(rewards) < 0.0 == max(rewards)
+from marl_lanes.zoo.index import find_file, read_index
+for name in read_index():
+    assert find_file(name).is_relative_to(sys.prefix), name
 print(*list_scenarios())
 print(importlib.metadata.version("marl-lanes"))
 """
@@ -84,6 +87,7 @@ def test_the_wheel_holds_every_file_of_the_package_and_the_scenarios(names):
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert {"marl_lanes/py.typed", "marl_lanes/report/report.html.jinja"} < inside
+    assert {"marl_lanes/zoo/zoo.json", "marl_lanes/zoo/paper.pt"} < inside
     scenarios = {f"marl_lanes/scenarios/{path.name}" for path in ROOT.glob("scenarios/*.yaml")}
     assert len(scenarios) >= 7
     expected = inside | scenarios | {"marl_lanes/scenarios/__init__.py"}

@@ -1,17 +1,11 @@
 """Arguments that several commands share, and what is done with them first."""
 
 import argparse
-import sys
-from collections.abc import Sequence
-from importlib import import_module
-from pathlib import Path
-from traceback import extract_tb
 from typing import Any, TypeAlias
 
-from marl_lanes.cli.policies import UNTRAINED
+from marl_lanes.cli.policies import TRAINED, UNTRAINED
 from marl_lanes.cli.values import MAX_SEED, file_name, whole_number
 from marl_lanes.scenario.followers import SCRIPTED
-from marl_lanes.scenario.messages import shown
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """What a module of commands adds its parsers to."""
@@ -25,7 +19,7 @@ def add_policy(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
         is_required: whether one must be given.
     """
     policy = parser.add_mutually_exclusive_group(required=is_required)
-    policy.add_argument("checkpoint", nargs="?", help="a checkpoint of a training")
+    policy.add_argument("checkpoint", nargs="?", help=TRAINED)
     note = "" if is_required else " (default: tuned-cascade)"
     policy.add_argument(
         "--policy",
@@ -46,8 +40,8 @@ def add_followers(parser: argparse.ArgumentParser, **options: Any) -> None:
         "--followers",
         nargs="+",
         metavar="FOLLOWER",
-        help=f"{', '.join(SCRIPTED)}, learned:CHECKPOINT, or a name given to register_follower"
-        + note,
+        help=f"{', '.join(SCRIPTED)}, learned:CHECKPOINT, learned:zoo:NAME, or a name given to "
+        "register_follower" + note,
         **options,
     )
 
@@ -85,7 +79,7 @@ def add_seed(parser: argparse.ArgumentParser, *, default: int | None) -> None:
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
-    """Add --import; ``import_modules`` takes its value, ``modules``."""
+    """Add --import; ``imports.import_modules`` takes its value, ``modules``."""
     parser.add_argument(
         "--import",
         action="append",
@@ -120,35 +114,3 @@ def add_figure(parser: argparse.ArgumentParser, drawn: str, *, is_required: bool
         metavar="FILE",
         help=f"draw {drawn} to this file, in the format of its ending; may be given more than once",
     )
-
-
-def import_modules(names: Sequence[str]) -> None:
-    """Import the user's modules, from the current folder, too.
-
-    Args:
-        names: dotted names, the values of --import.
-
-    Raises:
-        ValueError: one is not a dotted name, cannot be found, or raises an error.
-    """
-    # An installed command does not search the current folder for modules by itself.
-    folder = str(Path.cwd())
-    sys.path.insert(0, folder)
-    try:
-        for name in names:
-            if not all(part.isidentifier() for part in name.split(".")):
-                raise ValueError(f"--import {shown(name)}: must be the dotted name of a module")
-            try:
-                import_module(name)
-            except (Exception, SystemExit) as error:
-                raise ValueError(f"--import {name}: {_describe(error)}") from None
-    finally:
-        sys.path.remove(folder)
-
-
-def _describe(error: BaseException) -> str:
-    """What a module of the user raised, and where."""
-    if isinstance(error, ImportError):
-        return str(error)
-    (*_, last) = extract_tb(error.__traceback__)
-    return f"{type(error).__name__}: {error} ({last.filename}, line {last.lineno})"

@@ -10,11 +10,11 @@ from marl_lanes.cli.arguments import (
     add_json,
     add_policy,
     add_traffic,
-    import_modules,
 )
+from marl_lanes.cli.imports import import_modules
 from marl_lanes.cli.names import label_changers, label_followers, saved_followers
 from marl_lanes.cli.outputs import check_figures, check_outputs, check_trajectories
-from marl_lanes.cli.policies import UNTRAINED, make_policy
+from marl_lanes.cli.policies import TRAINED, UNTRAINED, make_policy
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.values import file_name, whole_number
 from marl_lanes.scenario import load_scenario
@@ -64,8 +64,8 @@ def _add_crossplay(commands: Commands) -> None:
         nargs="+",
         required=True,
         metavar="CHANGER",
-        help=f"checkpoints, or {', '.join(UNTRAINED)}; CHANGER@SCENARIO runs on that scenario "
-        "instead of --scenario, also with the followers replaced",
+        help=f"{', '.join(UNTRAINED)}, {TRAINED}; CHANGER@SCENARIO runs on that scenario instead "
+        "of --scenario, also with the followers replaced",
     )
     add_followers(crossplay, required=True)
     add_traffic(crossplay, num_maneuvers=1000)

@@ -5,10 +5,20 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from marl_lanes.cli import comparisons, doctor, record, replay, report, scenarios, watch
+from marl_lanes.cli import (
+    benchmark,
+    comparisons,
+    doctor,
+    record,
+    replay,
+    report,
+    scenarios,
+    watch,
+    zoo,
+)
 from marl_lanes.terminal import prepare_streams, say, warn
 
-COMMANDS = (scenarios, comparisons, record, replay, report, watch, doctor)
+COMMANDS = (scenarios, zoo, comparisons, benchmark, record, replay, report, watch, doctor)
 """The modules of commands, in the order of the help; each has ``add(commands)``."""
 
 INTERRUPTED = 130

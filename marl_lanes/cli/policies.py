@@ -1,9 +1,14 @@
-"""The policy of a name or a checkpoint."""
+"""The policy of a name, a checkpoint or a function of the user."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from marl_lanes.cli.imports import import_policy, names_function
 from marl_lanes.scenario import Scenario
+from marl_lanes.zoo.index import PREFIX, find_entry
+
+if TYPE_CHECKING:
+    from marl_lanes.evaluation.benchmark import Training
 
 UNTRAINED = (
     "tuned-cascade",
@@ -16,12 +21,22 @@ UNTRAINED = (
 )
 """Names of the policies without learning."""
 
+TRAINED = f"a checkpoint, {PREFIX}NAME (marl-lanes zoo lists them), or MODULE:FUNCTION"
+"""The other policies, for a command's help."""
+
+
+def is_policy(name: str) -> bool:
+    """Whether a name stands for a policy; a file that is there may still be no checkpoint."""
+    is_named = name in UNTRAINED or name.startswith(PREFIX) or names_function(name)
+    return is_named or Path(name).exists()
+
 
 def make_policy(name: str, scenario: Scenario, seed: int) -> Any:
-    """The policy with this name or from this checkpoint; it must fit the scenario.
+    """The policy of this name; it must fit the scenario.
 
     Args:
-        name: a name of UNTRAINED, or the path of a checkpoint.
+        name: a name of UNTRAINED, the path of a checkpoint, zoo:NAME, or MODULE:FUNCTION, where no
+            file has this name.
         scenario: the scenario that it drives on.
         seed: of the random policy's actions.
 
@@ -29,8 +44,8 @@ def make_policy(name: str, scenario: Scenario, seed: int) -> Any:
         A policy as ``run_maneuvers`` takes it.
 
     Raises:
-        ValueError: the policy does not fit the scenario, or the file cannot be read or is no
-            checkpoint.
+        ValueError: the policy does not fit the scenario, or there is none of this name, or the
+            file cannot be read or is no checkpoint.
     """
     from marl_lanes.evaluation import policies
 
@@ -55,9 +70,44 @@ def make_policy(name: str, scenario: Scenario, seed: int) -> Any:
         lateral = name.removesuffix("-prior")
         mu = lateral if scenario.action.longitudinal is None else f"{lateral}+idm"
         return greedy_policy(make_network(scenario, mu))
-    if not Path(name).exists():
+    if not is_policy(name):
         names = ", ".join(UNTRAINED)
         raise ValueError(
-            f"checkpoint {name}: cannot be read: there is no such file; without learning: {names}"
+            f"checkpoint {name}: cannot be read: there is no such file; without learning: {names}; "
+            f"trained: {PREFIX}NAME, of those that `marl-lanes zoo` lists"
         )
+    if names_function(name) and not name.startswith(PREFIX) and not Path(name).exists():
+        return import_policy(name, scenario)
     return greedy_policy(load_policy(Path(name), scenario).network)
+
+
+def find_training(name: str) -> "Training | None":
+    """What the policy of a name has learned from; None: nothing, or it is not known.
+
+    Args:
+        name: for which ``make_policy`` has made a policy.
+
+    Raises:
+        ValueError: a file of the checkpoint's finished run is damaged.
+    """
+    from marl_lanes.evaluation.benchmark import Training
+    from marl_lanes.naf.checkpoint import read_content
+    from marl_lanes.report.run_files import read_run
+    from marl_lanes.training.run_folder import CHECKPOINTS_FOLDER, EVALUATION_FILE
+
+    if name in UNTRAINED:
+        return None
+    if name.startswith(PREFIX):
+        return Training.model_validate(find_entry(name)["training"])
+    path = Path(name)
+    if not path.exists():
+        return None
+    content, run = read_content(path), path.resolve().parent.parent
+    is_of_run = path.resolve().parent.name == CHECKPOINTS_FOLDER
+    files = read_run(run) if is_of_run and (run / EVALUATION_FILE).is_file() else None
+    return Training(
+        scenario=content["scenario"],
+        transitions=content["transitions"],
+        seconds=None if files is None else files.seconds["seconds_training"],
+        command=None if files is None else files.command,
+    )

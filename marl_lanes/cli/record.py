@@ -7,15 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from marl_lanes.cli.arguments import (
-    Commands,
-    add_followers,
-    add_import,
-    add_seed,
-    import_modules,
-)
+from marl_lanes.cli.arguments import Commands, add_followers, add_import, add_seed
+from marl_lanes.cli.imports import import_modules
 from marl_lanes.cli.outputs import check_outputs
-from marl_lanes.cli.policies import UNTRAINED
+from marl_lanes.cli.policies import TRAINED, UNTRAINED
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.tracks import RECORDED, Track, make_tracks, read_inputs
 from marl_lanes.cli.values import file_name, number, whole_number
@@ -71,7 +66,7 @@ def add(commands: Commands) -> None:
         "policies",
         nargs="+",
         metavar="POLICY",
-        help=f"a checkpoint, {', '.join(UNTRAINED)}, POLICY@SCENARIO, or a recorded trajectory "
+        help=f"{', '.join(UNTRAINED)}, {TRAINED}; POLICY@SCENARIO; or a recorded trajectory "
         f"(*{RECORDED}), which is not simulated again",
     )
     record.add_argument(

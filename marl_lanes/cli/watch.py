@@ -8,8 +8,9 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from marl_lanes.cli.arguments import Commands, add_import, add_seed, import_modules
-from marl_lanes.cli.policies import UNTRAINED, make_policy
+from marl_lanes.cli.arguments import Commands, add_import, add_seed
+from marl_lanes.cli.imports import import_modules
+from marl_lanes.cli.policies import TRAINED, UNTRAINED, is_policy, make_policy
 from marl_lanes.cli.values import number, whole_number
 from marl_lanes.extras import need
 from marl_lanes.scenario import load_scenario
@@ -33,7 +34,7 @@ def add(commands: Commands) -> None:
     watch.add_argument(
         "source",
         metavar="RUN|POLICY",
-        help=f"a run folder, a checkpoint, or {', '.join(UNTRAINED)}",
+        help=f"a run folder, {', '.join(UNTRAINED)}, {TRAINED}",
     )
     watch.add_argument(
         "--scenario", help="name or YAML file (default: that of the run, else paper)"
@@ -94,9 +95,9 @@ def _make_show(options: argparse.Namespace) -> "Show":
         run = RunModels(Path(source), given, warn=lambda trouble: warn(f"warning: {trouble}"))
         scenario, models = run.scenario, run
     else:
-        if source not in UNTRAINED and not Path(source).exists():
+        if not is_policy(source):
             raise ValueError(
-                f"{source}: must be a run folder, a checkpoint, or one of {', '.join(UNTRAINED)}"
+                f"{source}: must be a run folder, {TRAINED}, or one of {', '.join(UNTRAINED)}"
             )
         scenario = given or load_scenario("paper")
         models = FixedModel(Model(source, make_policy(source, scenario, seed)))

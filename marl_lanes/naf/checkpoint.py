@@ -18,6 +18,7 @@ from tensordict.nn import TensorDictModule
 from marl_lanes.files import open_regular, write_atomically
 from marl_lanes.naf.layers import ActionBox
 from marl_lanes.naf.network import NAFNetwork
+from marl_lanes.zoo.index import PREFIX, ZooError, find_file
 
 FORMAT = "marl-lanes NAF policy 4"
 """What a checkpoint's entry ``format`` says."""
@@ -82,13 +83,31 @@ def read_checkpoint(path: Path) -> Checkpoint[NAFNetwork]:
 def read_content(path: Path) -> dict[str, Any]:
     """The content of a checkpoint of any form, read without running any code from it.
 
+    Args:
+        path: of the file, or ``zoo:NAME``.
+
     Returns:
         the content; empty if the file holds something else than a mapping.
 
     Raises:
         CheckpointError: the file cannot be read.
     """
-    return read_archive(path, "checkpoint")
+    return read_archive(find_checkpoint(path), "checkpoint")
+
+
+def find_checkpoint(path: Path) -> Path:
+    """The file of a checkpoint: of ``zoo:NAME``, which is no path, that of the zoo.
+
+    Raises:
+        CheckpointError: the zoo has no such policy, or its file is damaged.
+    """
+    name = str(path)
+    if not name.startswith(PREFIX):
+        return path
+    try:
+        return find_file(name)
+    except (OSError, ZooError) as error:
+        raise CheckpointError(f"checkpoint {name}: {error}") from None
 
 
 def read_archive(path: Path, kind: str, *, is_mapped: bool = False) -> dict[str, Any]:

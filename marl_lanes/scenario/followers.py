@@ -105,8 +105,8 @@ class Learned(Section):
 
     checkpoint: Annotated[Line, Field(min_length=1, max_length=4096)] | None = Field(
         None,
-        description="file of a follower's policy [path], null if a learner drives; in a scenario "
-        "file the path begins at the file's folder and stays in it",
+        description="file of a follower's policy [path], or zoo:NAME, null if a learner drives; in "
+        "a scenario file the path begins at the file's folder and stays in it",
     )
     objective: Literal["adversarial", "cooperative"] = Field(
         "adversarial", description="which of the two rewards a learner gets [name]"

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from marl_lanes.scenario.messages import explain, shown, shown_name
 from marl_lanes.scenario.schema import Scenario
 from marl_lanes.scenario.yaml_files import MAX_DEPTH, MAX_VALUES, YamlError, read_yaml
+from marl_lanes.zoo.index import PREFIX
 
 _WHOLE = {("drivers", "mix"), ("followers", "mix")}
 """Mappings that are replaced as a whole: their shares are relative to each other."""
@@ -107,10 +108,12 @@ def _read_file(path: Path, origin: str) -> dict[str, Any]:
 def _place_checkpoint(fields: dict[str, Any], folder: Path, origin: str) -> None:
     """Let a checkpoint's path begin at the scenario's folder; refuse one that leaves it.
 
-    A scenario of a stranger must not choose which files are opened.
+    A scenario of a stranger must not choose which files are opened. A policy of the zoo is no path.
     """
     match fields:
         case {"followers": {"learned": {"checkpoint": str(name)} as learned}} if name:
+            if name.startswith(PREFIX):
+                return
             try:
                 path = (folder / name).resolve()
                 is_inside = path.is_relative_to(folder.resolve())

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from marl_lanes.files import copy_file, open_regular, write_text
+from marl_lanes.naf.checkpoint import find_checkpoint
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.yaml_files import format_yaml
 from marl_lanes.training.config import CONFIG_FILE, ConfigError, ProgramConfig, write_config
@@ -44,16 +45,17 @@ def keep_inputs(
         folder: of the run.
         config: of the run.
         scenario: of the run, before ``training_overrides``.
-        files: that the run reads, by their names in the folder.
+        files: checkpoints that the run reads, by their names in the folder.
 
     Returns:
         the scenario as a resumed run reads it.
 
     Raises:
         OSError: a file cannot be read or written.
+        CheckpointError: the zoo does not have one of them.
     """
     for name, path in files.items():
-        copy_file(path, folder / name)
+        copy_file(find_checkpoint(path), folder / name)
     write_config(folder / CONFIG_FILE, config)
     kept = own_scenario(folder, scenario, has_learned=LEARNED_FILE in files)
     fields = kept.model_dump(mode="json")

@@ -334,6 +334,7 @@ def test_the_defaults_are_complete_and_in_range(program):
         (["scenario=nope"], "scenario 'nope': no such scenario"),
         (["resume=absent"], "resume = 'absent': must be alone"),
         (["changer=gone.pt"], "changer = 'gone.pt': .*gone.pt: cannot be read"),
+        (["changer=zoo:nobody"], "changer = 'zoo:nobody': checkpoint zoo:nobody: no such policy"),
     ],
 )
 def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):

@@ -170,6 +170,7 @@ initial_checkpoint=nowhere.pt ; initial_checkpoint = 'nowhere.pt'
 initial_checkpoint=busy.yaml ; initial_checkpoint = 'busy.yaml'
 initial_checkpoint=. ; initial_checkpoint = '.'
 initial_checkpoint=[1] ; initial_checkpoint
+initial_checkpoint=zoo:nobody ; checkpoint zoo:nobody: no such policy in the zoo; allowed
 num_workers=2 ; num_workers = 2
 collector=multi num_workers=3 ; collector.num_envs = 256
 ray.address=auto ; ray.address = 'auto'

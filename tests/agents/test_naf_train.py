@@ -32,7 +32,7 @@ from marl_lanes import ScenarioError, experiment, load_scenario
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.evaluation.recording import record_road
 from marl_lanes.evaluation.rollout import run_maneuvers
-from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
+from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint, read_content
 from marl_lanes.report.replays import RECORDING
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
@@ -473,6 +473,13 @@ def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path,
     learner = begin(program, config)
     assert_same_weights(weights(run), learner.algorithm.network.state_dict())
     learner.close()
+
+
+def test_a_policy_of_the_zoo_is_an_initial_checkpoint(program, small_zoo, tmp_path, monkeypatch):
+    monkeypatch.chdir(prepare(tmp_path))
+    options = ["initial_checkpoint=zoo:paper", "network.mu=paper", "network.hidden_sizes=[8,4]"]
+    network = program.start_network(read(program, *options), PAPER)
+    assert_same_weights(read_content(small_zoo / "paper.pt")["weights"], network.state_dict())
 
 
 @pytest.mark.parametrize(

@@ -22,9 +22,19 @@ NO_SCENARIOS = ["", "papier", "PAPER", "absent.yaml", ".", "d", "list.yaml", "br
 NO_SCENARIOS += ["binary.yaml", "empty.yaml", "unknown.yaml", "nan.yaml", "text.pt/x.yaml"]
 NO_SCENARIOS += ["paper.yaml", "\udcff", "\udcff.yaml", "x" * 300 + ".yaml"]
 NO_CHECKPOINTS = [" ", "absent.pt", "d", "text.pt", "empty.pt", "cut.pt", "quick.yaml", "text.pt/x"]
+NO_CHECKPOINTS += ["zoo:", "zoo:absent", "zoo:../good", "absent:make", "raises:make"]
 NO_CHECKPOINTS += ["blind.pt", "tuned-cascade.pt", "Random", "\udcff.pt", "x" * 300]
 NO_FOLLOWERS = ["", " ", "learned:", "learned:absent.pt", "learned:text.pt", "learned:d", "a:b"]
-NO_FOLLOWERS += ["learned:good.pt", "unheard_of", "Neutral", ":", "learned", "\udcff", "other:x.pt"]
+NO_FOLLOWERS += [
+    "learned:good.pt",
+    "learned:zoo:absent",
+    "unheard_of",
+    "Neutral",
+    ":",
+    "learned",
+    "\udcff",
+    "other:x.pt",
+]
 NO_MODULES = ["absent", "../x", "a.", "", "a b", "a-b", "raises", "ends", "syntax", "d.x"]
 NO_FILES = ["", " ", "d", ".", "/", "text.pt/x", "loop", "loop/x", "y" * 300]
 NO_TRAJECTORIES = ["absent.parquet", "d.parquet", "text.parquet", "empty.parquet", "cut.parquet"]
@@ -40,7 +50,18 @@ NOBODY += ["Changer_1", " 3", "vehicle_3", LONG]
 OPTIONS = ["--json", "--out", "--figure", "--scenario", "--seed", "--maneuvers", "--maneuver"]
 OPTIONS += ["--policy", "--changers", "--followers", "--import", "--trajectories", "--road"]
 OPTIONS += ["--no-optimum", "--port", "--open", "--speed", "--span", "--size", "--follow", "--at"]
-OPTIONS += ["--start", "--seconds", "--x", "-x", "-v", "--json2", "--Seed"]
+OPTIONS += [
+    "--task",
+    "--label",
+    "--page",
+    "--start",
+    "--seconds",
+    "--x",
+    "-x",
+    "-v",
+    "--json2",
+    "--Seed",
+]
 """Of all commands, and some of none."""
 
 TEXTS = {
@@ -50,6 +71,9 @@ TEXTS = {
     "empty.parquet": "",
     "quick.yaml": QUICK,
     "endless.yaml": "{num_agents: null, horizon: null}\n",
+    "rows.json": "[]\n",
+    "wrong.json": "[{}]\n",
+    "page.md": "no place for tables\n",
     "list.yaml": "[1, 2]\n",
     "broken.yaml": "{a: [\n",
     "empty.yaml": "",
@@ -151,6 +175,8 @@ RECORD = ["record", "lane-keeping", "--out", "new.parquet"]
 PICTURE = ["record", "lane-keeping", "--out", "new.png"]
 REPLAY = ["replay", "rows.parquet", "--out", "new.html"]
 WATCH = ["watch", "lane-keeping"]
+BENCHMARK = ["benchmark", "lane-keeping"]
+TABLE = ["benchmark-table", "rows.json"]
 MANY = 10**12
 
 CALLS = {
@@ -176,6 +202,42 @@ CALLS = {
             ("evaluate --policy perfect", "perfect"),
             (f"evaluate --policy random --maneuvers {MANY}", f"num_maneuvers = {MANY}: needs"),
             ("evaluate --policy random --scenario endless.yaml", "num_agents"),
+        ),
+    ],
+    "zoo": [
+        *each(["zoo"], [*NO_SCENARIOS, "zoo:", "zoo:absent", "zoo:zoo.json"], "no such policy"),
+        *odd(["zoo"]),
+        *fixed(("zoo paper paper", "unrecognized arguments: paper")),
+    ],
+    "benchmark": [
+        *whole_numbers(BENCHMARK, "--maneuvers", "--seed"),
+        *each(["benchmark"], NO_CHECKPOINTS),
+        *each(
+            BENCHMARK, ["", "papier", "touch", "paper.yaml", "\udcff"], "--task", option="--task"
+        ),
+        *each(BENCHMARK, NO_MODULES, "--import", option="--import"),
+        *outputs(BENCHMARK, "--json"),
+        *replacing(["benchmark", "good.pt"], "--json", "good.pt"),
+        *fixed(
+            ("benchmark", "POLICY"),
+            ("benchmark random random", "unrecognized arguments: random"),
+            ("benchmark good.pt --task interactive", "good.pt: its features are"),
+            ("benchmark good.pt --task paper interactive", "good.pt: its features are"),
+            ("benchmark raises:make", "policy raises:make: ZeroDivisionError"),
+            (f"benchmark random --maneuvers {MANY}", f"num_maneuvers = {MANY}: needs"),
+        ),
+    ],
+    "benchmark-table": [
+        *each(["benchmark-table"], [*NO_CHECKPOINTS, "wrong.json", "d.parquet", "binary.yaml"]),
+        *outputs(TABLE, "--page"),
+        *replacing(TABLE, "--page", "rows.json"),
+        # Any number of files is read.
+        *(one for one in odd(TABLE) if one[0][2].startswith("-")),
+        *fixed(
+            ("benchmark-table", "FILE"),
+            ("benchmark-table wrong.json", "wrong.json: 0.policy: Field required"),
+            ("benchmark-table rows.json --page page.md", "page.md: must have the lines"),
+            ("benchmark-table rows.json --page absent.md", "absent.md: cannot be read"),
         ),
     ],
     "crossplay": [

@@ -315,6 +315,20 @@ def test_a_saved_follower_drives(tmp_path):
 
 
 @pytest.mark.parametrize("form", [parallel_env, LaneChangeEnv])
+def test_a_follower_of_the_zoo_is_one_line(small_zoo, form):
+    seen = np.random.default_rng(0).normal(size=(5, len(FOLLOWER.features))).astype(np.float32)
+    asked = [
+        find_policies(load_scenario("paper", driven_by(path)))["learned"](seen).tolist()
+        for path in ("zoo:adversary", small_zoo / "adversary.pt")
+    ]
+    assert asked[0] == asked[1]
+    assert len(set(asked[0])) == 5
+    form("paper", overrides=driven_by("zoo:adversary"))
+    with pytest.raises(CheckpointError, match=r"zoo:absent: no such policy.*zoo:adversary"):
+        form("paper", overrides=driven_by("zoo:absent"))
+
+
+@pytest.mark.parametrize("form", [parallel_env, LaneChangeEnv])
 def test_a_checkpoint_of_another_kind_is_refused_by_its_name(tmp_path, form):
     paper = load_scenario("paper")
     path = tmp_path / "changer.pt"

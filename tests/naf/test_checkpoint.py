@@ -14,6 +14,7 @@ from damage import assert_read_as_it_was_or_refused
 
 from marl_lanes.naf.checkpoint import (
     CheckpointError,
+    find_checkpoint,
     greedy_policy,
     read_checkpoint,
     read_content,
@@ -34,6 +35,23 @@ def test_it_holds_only_plain_types_and_tensors(policy_file):
     assert all(isinstance(value, torch.Tensor) for value in content["weights"].values())
     network = NAFNetwork(**content["config"])
     network.load_state_dict(content["weights"])
+
+
+def test_a_policy_of_the_zoo_has_its_file(small_zoo):
+    assert find_checkpoint(Path("zoo:paper")) == small_zoo / "paper.pt"
+    assert plain(Path("zoo:paper")) == plain(small_zoo / "paper.pt")
+    assert find_checkpoint(small_zoo / "zoo:x.pt") == small_zoo / "zoo:x.pt"
+
+
+def test_what_the_zoo_does_not_have_is_refused(small_zoo):
+    with pytest.raises(CheckpointError, match=r"^checkpoint zoo:best: no such policy.*zoo:paper"):
+        read_content(Path("zoo:best"))
+    truncate(small_zoo / "paper.pt", 0.5)
+    with pytest.raises(CheckpointError, match=r"^checkpoint zoo:paper: its file paper\.pt is not"):
+        read_content(Path("zoo:paper"))
+    (small_zoo / "paper.pt").unlink()
+    with pytest.raises(CheckpointError, match=r"^checkpoint zoo:paper: .*No such file"):
+        read_content(Path("zoo:paper"))
 
 
 @pytest.mark.parametrize("save", ["pickle", "torch"])

@@ -270,9 +270,24 @@ def test_a_file_names_a_checkpoint_in_its_own_folder(tmp_path):
     assert checkpoint_of(written(tmp_path, text)) == str(tmp_path / "own.pt")
 
 
+def test_a_policy_of_the_zoo_is_no_path(tmp_path):
+    path = written(tmp_path, "followers: {learned: {checkpoint: 'zoo:adversary'}}\n")
+    assert checkpoint_of(path) == "zoo:adversary"
+    # YAML reads it as text without quotes, too.
+    path = written(tmp_path, "followers: {learned: {checkpoint: zoo:adversary}}\n")
+    assert checkpoint_of(path) == "zoo:adversary"
+
+
 @pytest.mark.parametrize(
     "name",
-    ["/etc/passwd", "../final.pt", "a/../../final.pt", "out/final.pt", "/dev/zero"],
+    [
+        "/etc/passwd",
+        "../final.pt",
+        "a/../../final.pt",
+        "out/final.pt",
+        "/dev/zero",
+        "./zoo:/../../x",
+    ],
 )
 def test_a_file_names_no_checkpoint_outside_of_its_folder(tmp_path, name):
     folder = tmp_path / "mine"

@@ -1,5 +1,7 @@
 """What a run was begun with: kept in its folder, and refused if it changes there."""
 
+from pathlib import Path
+
 import pytest
 import yaml
 from configs import typed
@@ -49,6 +51,15 @@ def test_a_checkpoint_is_copied_and_the_scenario_names_the_copy(run, tmp_path, m
     moved = run.rename(tmp_path / "moved")
     monkeypatch.chdir("/")
     assert read_scenario(moved).followers.learned.checkpoint == str(moved / LEARNED_FILE)
+
+
+def test_a_policy_of_the_zoo_is_copied_too(small_zoo, tmp_path):
+    scenario = load_scenario("paper", {"followers": {"learned": {"checkpoint": "zoo:adversary"}}})
+    kept = keep_inputs(tmp_path, typed(), scenario, {LEARNED_FILE: Path("zoo:adversary")})
+    assert (tmp_path / LEARNED_FILE).read_bytes() == (small_zoo / "adversary.pt").read_bytes()
+    # A later version of the package may have another one.
+    assert kept.followers.learned.checkpoint == str(tmp_path / LEARNED_FILE)
+    assert read_scenario(tmp_path) == kept
 
 
 def test_a_checkpoint_that_is_not_read_is_not_named(tmp_path):

@@ -1,0 +1,149 @@
+"""The commands of the benchmark: measure a policy on its tasks, and show what was measured."""
+
+import argparse
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from marl_lanes.cli.arguments import Commands, add_import, add_json
+from marl_lanes.cli.imports import import_modules
+from marl_lanes.cli.outputs import check_outputs
+from marl_lanes.cli.policies import TRAINED, UNTRAINED, find_training, make_policy
+from marl_lanes.cli.progress import Progress
+from marl_lanes.cli.values import MAX_SEED, file_name, whole_number
+from marl_lanes.evaluation.tasks import NUM_MANEUVERS, SEED, TASKS
+from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.terminal import say
+
+
+def add(commands: Commands) -> None:
+    """Add ``benchmark`` and ``benchmark-table``."""
+    _add_benchmark(commands)
+    _add_table(commands)
+
+
+def _add_benchmark(commands: Commands) -> None:
+    benchmark = commands.add_parser(
+        "benchmark",
+        help="measure a policy on the tasks of the benchmark",
+        description="Drive a policy on each task of the benchmark that it fits, and print its "
+        "numbers with 95 % confidence intervals; docs/benchmark.md has the rules. MODULE:FUNCTION "
+        "imports the module, also from the current folder, and so runs its code; the function is "
+        "given the scenario, and returns a policy: observations (N, F) to actions (N, D).",
+    )
+    benchmark.add_argument("policy", metavar="POLICY", help=f"{', '.join(UNTRAINED)}, {TRAINED}")
+    benchmark.add_argument(
+        "--task",
+        nargs="+",
+        choices=TASKS,
+        dest="tasks",
+        help="only these, and the policy must fit them (default: all that it fits)",
+    )
+    benchmark.add_argument(
+        "--maneuvers",
+        type=whole_number(1),
+        default=NUM_MANEUVERS,
+        help=f"number of maneuvers of each task (default: {NUM_MANEUVERS})",
+    )
+    benchmark.add_argument(
+        "--seed",
+        type=whole_number(0, MAX_SEED),
+        default=SEED,
+        help=f"seed of the traffic (default: {SEED})",
+    )
+    benchmark.add_argument("--label", help="the policy's name in the rows (default: POLICY)")
+    add_import(benchmark)
+    add_json(benchmark)
+    benchmark.set_defaults(run=_benchmark)
+
+
+def _add_table(commands: Commands) -> None:
+    table = commands.add_parser(
+        "benchmark-table",
+        help="show what `marl-lanes benchmark --json` wrote, as tables in Markdown",
+        description="Show rows of the benchmark as tables in Markdown, one for each task: what "
+        "`marl-lanes benchmark --json FILE` wrote, of any number of policies.",
+    )
+    table.add_argument("rows", nargs="+", type=file_name, metavar="FILE", help="files of rows")
+    table.add_argument(
+        "--page",
+        type=file_name,
+        help="put the tables into this page, between its two lines for them, as docs/benchmark.md "
+        "has; do not print them",
+    )
+    table.set_defaults(run=_show_table)
+
+
+def _benchmark(options: argparse.Namespace) -> None:
+    from marl_lanes.evaluation.benchmark import Row, measure_row
+    from marl_lanes.evaluation.benchmark_tables import format_rows, write_rows
+
+    name: str = options.policy
+    check_outputs([("--json", options.json)], [name])
+    import_modules(options.modules)
+    fitting, refused = _find_tasks(name, options.tasks, options.seed)
+    training = find_training(name)
+    label = options.label or name
+    number, rows = options.maneuvers, dict[str, Row]()
+    with Progress("driving", 2 * number * len(fitting)) as show:
+        for count, (task, (scenario, policy)) in enumerate(fitting.items()):
+
+            def advance(done: int, before: int = 2 * number * count) -> None:
+                show(before + done)
+
+            rows[task] = measure_row(
+                label,
+                task,
+                scenario,
+                policy,
+                number,
+                seed=options.seed,
+                training=training,
+                progress=advance,
+            )
+    for task, reason in refused.items():
+        rows[task] = Row(
+            policy=label,
+            task=task,
+            version=version("marl-lanes"),
+            seed=options.seed,
+            does_not_fit=reason,
+        )
+    ordered = [rows[task] for task in TASKS if task in rows]
+    if options.json is not None:
+        write_rows(options.json, ordered)
+    say(format_rows(ordered))
+
+
+def _find_tasks(
+    name: str, tasks: list[str] | None, seed: int
+) -> tuple[dict[str, tuple[Scenario, Any]], dict[str, str]]:
+    """The tasks that a policy fits, each with its scenario and the policy; and why not the others.
+
+    Raises:
+        ValueError: it fits none, or not one that was asked for.
+    """
+    fitting, refused = dict[str, tuple[Scenario, Any]](), dict[str, str]()
+    for task in tasks or TASKS:
+        scenario = load_scenario(task)
+        try:
+            fitting[task] = scenario, make_policy(name, scenario, seed)
+        except ValueError as error:
+            if tasks:
+                raise
+            refused[task] = str(error)
+    if not fitting:
+        raise ValueError(next(iter(refused.values())))
+    return fitting, refused
+
+
+def _show_table(options: argparse.Namespace) -> None:
+    from marl_lanes.evaluation.benchmark_tables import format_markdown, read_rows, write_page
+
+    page: Path | None = options.page
+    check_outputs([("--page", page)], options.rows)
+    rows = [row for path in options.rows for row in read_rows(path)]
+    if page is None:
+        say(format_markdown(rows))
+    else:
+        write_page(page, rows)

@@ -1,0 +1,104 @@
+"""The user's own modules, which are run: followers that they register, and policies."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from traceback import extract_tb
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_lanes.scenario import Scenario
+from marl_lanes.scenario.messages import shown
+
+
+def import_modules(names: Sequence[str]) -> None:
+    """Import the user's modules, from the current folder, too.
+
+    Args:
+        names: dotted names, the values of --import.
+
+    Raises:
+        ValueError: one is not a dotted name, cannot be found, or raises an error.
+    """
+    for name in names:
+        if not _is_dotted(name):
+            raise ValueError(f"--import {shown(name)}: must be the dotted name of a module")
+        with _telling(f"--import {name}"):
+            _import(name)
+
+
+def names_function(name: str) -> bool:
+    """Whether a policy's name has the form MODULE:FUNCTION."""
+    module, colon, function = name.partition(":")
+    return bool(colon) and _is_dotted(module) and function.isidentifier()
+
+
+def import_policy(name: str, scenario: Scenario) -> Callable[[NDArray[np.float32]], Any]:
+    """The policy that a function of the user makes for a scenario.
+
+    Args:
+        name: MODULE:FUNCTION; the function is given the scenario, and returns a policy:
+            observations (N, F) to actions (N, D).
+        scenario: that it drives on.
+
+    Returns:
+        the policy, which refuses actions of another shape than (N, D).
+
+    Raises:
+        ValueError: the module or the function cannot be found, or raises an error.
+    """
+    from marl_lanes.traffic.roles.changer import CHANGER
+
+    module, _, function = name.partition(":")
+    with _telling(f"policy {name}"):
+        policy = getattr(_import(module), function)(scenario)
+    if not callable(policy):
+        raise ValueError(f"policy {name}: must return a function, got {shown(policy)}")
+    num_actions = len(CHANGER.act(scenario))
+
+    def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
+        with _telling(f"policy {name}"):
+            actions = np.asarray(policy(observations), np.float64)
+        wanted = (len(observations), num_actions)
+        if actions.shape != wanted:
+            raise ValueError(
+                f"policy {name}: its actions have the shape {actions.shape}, must have {wanted}"
+            )
+        return actions
+
+    return act
+
+
+def _is_dotted(name: str) -> bool:
+    return all(part.isidentifier() for part in name.split("."))
+
+
+def _import(name: str) -> Any:
+    # An installed command does not search the current folder for modules by itself.
+    folder = str(Path.cwd())
+    sys.path.insert(0, folder)
+    try:
+        return import_module(name)
+    finally:
+        sys.path.remove(folder)
+
+
+@contextmanager
+def _telling(origin: str) -> Iterator[None]:
+    """What the user's code raises, as one line that begins with ``origin``."""
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        raise ValueError(f"{origin}: {_describe(error)}") from None
+
+
+def _describe(error: BaseException) -> str:
+    """What a module of the user raised, and where."""
+    if isinstance(error, ImportError):
+        return str(error)
+    (*_, last) = extract_tb(error.__traceback__)
+    return f"{type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
