@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from marl_lanes.cli.policies import make_policy
 from marl_lanes.evaluation.driving import Policy
-from marl_lanes.evaluation.intervals import CONFIDENCE, Estimate, estimate_mean
+from marl_lanes.evaluation.intervals import Estimate, estimate_over_seeds
 from marl_lanes.evaluation.metrics import AVERAGES, measure_each
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.evaluation.tables import format_estimate
@@ -57,7 +57,6 @@ GOOD_RATIO, GOOD_SUCCESS = 1.15, 0.98
 SEED = 1_000_000
 """Of the maneuvers of final models and policies; those of saved models have the next one."""
 
-NUM_RESAMPLES = 2000
 BATCHES = (1, 64)
 """Observations in a call of a policy, for the time of a decision."""
 
@@ -234,8 +233,8 @@ def measure_run(folder: Path, scenario: Scenario, options: argparse.Namespace) -
         policy = make_policy(str(saved), scenario, SEED)
         columns = drive(policy, scenario, options.saved_maneuvers, SEED + 1)
         ratio = estimate([columns], "return", "optimal_return").value
-        success = estimate([columns], "success_rate").value
-        if ratio is not None and ratio <= GOOD_RATIO and success >= GOOD_SUCCESS:
+        is_cheap = ratio is not None and ratio <= GOOD_RATIO
+        if is_cheap and np.mean(columns["success_rate"]) >= GOOD_SUCCESS:
             found["transitions_to_good"] = int(saved.stem.removeprefix("step_"))
             break
     found["training_seconds"] = read(folder / TIMES_FILE)["seconds_training"]
@@ -266,7 +265,7 @@ def measure(policy: Policy, scenario: Scenario, options: argparse.Namespace) -> 
     return {"maneuvers": columns, **times}
 
 
-def drive(policy: Policy, scenario: Scenario, number: int, seed: int) -> dict[str, list[float]]:
+def drive(policy: Policy, scenario: Scenario, number: int, seed: int) -> dict[str, list[Any]]:
     """The road of each maneuver, and its metrics; None where one is not defined."""
     maneuvers = run_maneuvers(scenario, policy, number, seed=seed)
     measured, _ = measure_each(maneuvers, scenario)
@@ -282,44 +281,13 @@ def drive(policy: Policy, scenario: Scenario, number: int, seed: int) -> dict[st
 
 
 def estimate(seeds: Sequence[Mapping[str, Any]], key: str, divisor: str | None = None) -> Estimate:
-    """Mean over all maneuvers of all seeds, or a ratio of sums, with a bootstrap interval.
-
-    A resample draws seeds with replacement, and of each drawn seed whole roads: maneuvers of one
-    road share its traffic, those of one training share its policy. Of one seed, or of a policy
-    without learning, only the roads are drawn. A rate of 0 or 1 has the exact interval of
-    ``estimate_mean`` instead.
-
-    Args:
-        seeds: columns by name, of each seed.
-        key: the column.
-        divisor: None for the mean; otherwise the column of the ratio's denominators.
-    """
-    parts = []
+    """Mean of a column over all maneuvers of all seeds, or the ratio of two columns' sums."""
+    samples = []
     for columns in seeds:
-        upper = np.array(columns[key], np.float64)
-        lower = np.ones_like(upper) if divisor is None else np.array(columns[divisor], np.float64)
-        defined = np.isfinite(upper + lower)
-        if defined.any():
-            _, road = np.unique(np.array(columns["road"])[defined], return_inverse=True)
-            sums = [np.bincount(road, values[defined]) for values in (upper, lower)]
-            parts.append(np.array(sums))
-    if not parts:
-        return Estimate(None, None, None)
-    total = np.sum([part.sum(axis=1) for part in parts], axis=0)
-    value = float(total[0] / total[1])
-    if key.endswith("_rate") and value in {0.0, 1.0}:
-        pooled = [one for columns in seeds for one in columns[key]]
-        return estimate_mean(pooled, range(len(pooled)), is_rate=True)
-    generator = np.random.default_rng(0)
-    drawn = np.zeros((2, NUM_RESAMPLES))
-    for chosen in generator.integers(len(parts), size=(len(parts), NUM_RESAMPLES)):
-        for index, part in enumerate(parts):
-            is_chosen = chosen == index
-            roads = generator.integers(part.shape[1], size=(is_chosen.sum(), part.shape[1]))
-            drawn[:, is_chosen] += part[:, roads].sum(axis=-1)
-    tail = (1.0 - CONFIDENCE) / 2.0
-    low, high = np.quantile(drawn[0] / drawn[1], (tail, 1.0 - tail))
-    return Estimate(value, float(low), float(high))
+        upper = columns[key]
+        lower = [1.0] * len(upper) if divisor is None else columns[divisor]
+        samples.append((upper, lower, columns["road"]))
+    return estimate_over_seeds(samples, is_rate=key.endswith("_rate"))
 
 
 def summarise(name: str, budget: str, found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -362,7 +330,9 @@ def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
     ]
     lines = [titles, ["---"] * len(titles)]
     for row in rows:
-        estimates = [format_estimate(row[key], *form) for key, _, *form in COLUMNS]
+        estimates = [
+            format_estimate(row[key], factor, decimals) for key, _, factor, decimals in COLUMNS
+        ]
         one, many = (f"{np.mean(row[f'microseconds_of_{size}']):.0f}" for size in BATCHES)
         is_trained = bool(row["budget"])
         needed = ["never" if one is None else f"{one:,}" for one in row["transitions_to_good"]]

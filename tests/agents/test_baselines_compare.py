@@ -4,7 +4,6 @@ import csv
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from programs import BUSY, load_program, run_main
 
@@ -130,41 +129,6 @@ def test_whatever_falls_falls_over_the_whole_budget(program):
         assert config.collector.total_transitions == 50_000
         if hasattr(config.exploration, "annealing_transitions"):
             assert config.exploration.annealing_transitions == 50_000
-
-
-def columns(values, roads):
-    return {"x": values, "x_rate": [float(one > 0.0) for one in values], "road": roads}
-
-
-def test_an_interval_is_wider_where_the_seeds_differ(program):
-    generator = np.random.default_rng(0)
-    roads = np.repeat(np.arange(50), 4).tolist()
-    noise = generator.normal(size=(3, 200))
-    alike = [columns((one + 5.0).tolist(), roads) for one in noise]
-    apart = [
-        columns((one + mean).tolist(), roads) for one, mean in zip(noise, (3, 5, 7), strict=True)
-    ]
-    one, other = program.estimate(alike, "x"), program.estimate(apart, "x")
-    assert one.value == pytest.approx(5.0, abs=0.2)
-    assert other.value == pytest.approx(one.value)
-    # Of 600 values without a common cause: 1.96 / sqrt(600) on each side.
-    assert 0.1 < one.high - one.low < 0.3
-    assert other.high - other.low > 1.5
-    assert other.low < 4.0 < 6.0 < other.high
-
-
-def test_roads_are_drawn_whole_and_what_is_not_defined_is_left_out(program):
-    values = np.repeat([0.0, 10.0], 100).tolist()
-    roads = np.repeat([0, 1], 100).tolist()
-    found = program.estimate([columns(values, roads)], "x")
-    assert (found.value, found.low, found.high) == (5.0, 0.0, 10.0)
-    gaps = columns([1.0, 3.0, np.nan], [0, 1, 2])
-    assert program.estimate([gaps], "x").value == 2.0
-    assert program.estimate([columns([np.nan], [0])], "x").value is None
-    # A rate without a failure has the exact interval.
-    sure = program.estimate([columns([1.0] * 100, list(range(100)))], "x_rate")
-    assert (sure.value, sure.high) == (1.0, 1.0)
-    assert sure.low == pytest.approx(0.9638, abs=1e-4)
 
 
 @pytest.mark.parametrize(
