@@ -84,7 +84,8 @@ def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatc
     scenario = load_scenario("paper")
     options = program.parse([])
     found = {"return": [-4.0, -5.0], "optimal_return": [-4.0, -4.0], "road": [0, 1]}
-    models = {"step_000000100": (1.0, 0.0), "step_000000200": (1.0, 1.0)}
+    models = dict.fromkeys(("step_000000100", "step_000000300"), (1.0, 0.0))
+    models["step_000000200"] = (1.0, 1.0)
     asked = []
 
     def drive(name, *_):
@@ -107,6 +108,12 @@ def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatc
         "transitions": 250,
     }
     assert len(asked) == 2
+    dear = found | {"success_rate": (1.0, 1.0), "return": [-5.0, None]}
+    assert [program.is_good(dear | {"return": [-4.5, cost]}) for cost in (None, -4.7, -4.8)] == [
+        True,
+        True,
+        False,
+    ]
 
 
 def test_whatever_falls_falls_over_the_whole_budget(program):
