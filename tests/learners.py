@@ -1,6 +1,8 @@
 """Learners of changers and of followers on a tiny budget, and what they leave behind."""
 
 import csv
+import shutil
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -10,14 +12,26 @@ from tensordict import TensorDict
 
 from marl_lanes import LaneChangeEnv
 from marl_lanes.traffic.roles.follower import FOLLOWER
+from marl_lanes.training.algorithms.ddpg import DDPG, DDPGConfig
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
-from marl_lanes.training.checkpoint import make_network
+from marl_lanes.training.algorithms.ppo import PPO, PPOConfig
+from marl_lanes.training.algorithms.sac import SAC, SACConfig
+from marl_lanes.training.algorithms.td3 import TD3, TD3Config
+from marl_lanes.training.checkpoint import make_actor_network, make_network
 from marl_lanes.training.command_line import compose_fields
-from marl_lanes.training.config import EVALUATED, EvaluationConfig, read_config
+from marl_lanes.training.config import EVALUATED, EvaluationConfig, read_config, validate
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.transitions import LivePolicy
 
 FOLDER = Path(__file__).parents[1] / "agents" / "naf"
+BASELINES_FOLDER = FOLDER.parent / "baselines"
+BASELINES = {
+    "ippo": (PPOConfig, PPO),
+    "mappo": (PPOConfig, partial(PPO, is_centralised=True)),
+    "sac": (SACConfig, SAC),
+    "td3": (TD3Config, TD3),
+    "ddpg": (DDPGConfig, DDPG),
+}
 TWO_ACTIONS = BUSY | {
     "action": {"longitudinal": {"max_acceleration": 1.0, "max_braking": 5.0}},
 }
@@ -65,6 +79,82 @@ def followers(*options, seed=0, **places):
     return Learner(config, env, algorithm, others=[LivePolicy(driver.policy().module, 1)])
 
 
+def baseline(name, *options, overrides=BUSY, seed=0, **places):
+    """A learner with one of the algorithms of agents/baselines."""
+    kind, algorithm = BASELINES[name]
+    absent = [] if name in {"td3", "ddpg"} else ["exploration"]
+    absent += ["replay", "optimizer.transitions"] if "ppo" in name else []
+    absent += ["optimizer.pretraining"]
+    tiny = [option for option in TINY if not option.startswith(tuple(absent))]
+    tiny += ["epochs.batch_size=16"] if "ppo" in name else []
+    fields = compose_fields(kind, BASELINES_FOLDER, replaced([*tiny, *options]), file=name)
+    del fields["collector"]["kind"]
+    config = validate(kind, {field: fields[field] for field in kind.model_fields})
+    env = LaneChangeEnv("paper", 8, overrides=overrides, seed=seed, has_state=name == "mappo")
+    torch.manual_seed(seed)
+    network = make_actor_network(env.scenario, config.network.hidden_sizes)
+    return Learner(config, env, algorithm(config, env, network, **places))
+
+
+def transitions(algorithm, count=64):
+    """Made-up ones, in the features' and actions' units."""
+    box, normalise = algorithm.network.box, algorithm.network.normalise
+    shape = (count, len(algorithm.network.features))
+    terminated, truncated = (torch.rand(count, 1) > 0.7 for _ in range(2))
+    truncated &= ~terminated
+    return TensorDict(
+        {
+            "observation": torch.randn(shape) * normalise.scale + normalise.offset,
+            "action": box.low + (box.high - box.low) * torch.rand(count, box.low.numel()),
+            "next": {
+                "observation": torch.randn(shape) * normalise.scale + normalise.offset,
+                "reward": torch.randn(count, 1),
+                "terminated": terminated,
+                "truncated": truncated,
+                "done": terminated | truncated,
+            },
+        },
+        [count],
+    )
+
+
+def state(algorithm):
+    """A copy of all parameters and targets."""
+    return {key: value.clone() for key, value in algorithm.loss.state_dict().items()}
+
+
+def is_changed(before, after, part):
+    """Whether a network of the loss has other weights."""
+    keys = [key for key in before if key.startswith(f"{part}_network_params.") and "layers" in key]
+    assert keys
+    return any(not torch.equal(before[key], after[key]) for key in keys)
+
+
+def check_resuming(folder, make):
+    """A training that is resumed in its middle ends as one that goes through.
+
+    Args:
+        folder: for both.
+        make: a learner of a seed.
+
+    Returns:
+        the rows of its metrics.
+    """
+    one = make(seed=0)
+    one.begin(folder / "one")
+    assert one.train(Crash(folder / "one", folder / "other"))
+    other = make(seed=9)
+    other.resume(folder / "other")
+    assert 0 < other.transitions < one.transitions
+    assert other.train(Evaluation())
+    for learner in (one, other):
+        learner.close()
+    assert tables(folder / "one") == tables(folder / "other")
+    for key, value in state(one.algorithm).items():
+        assert torch.equal(state(other.algorithm)[key], value), key
+    return rows(folder / "one" / "metrics.csv")
+
+
 class Evaluation:
     """Counts the models that it is given; what it says of them depends on their weights."""
 
@@ -77,6 +167,19 @@ class Evaluation:
         self.recorded.append(recorded)
         quality = sum(value.sum().item() for value in network.state_dict().values())
         return dict.fromkeys(EVALUATED, quality) | {"nothing": None}
+
+
+class Crash(Evaluation):
+    """Copies the run folder in the middle of the training."""
+
+    def __init__(self, run, copy):
+        super().__init__()
+        self.run, self.copy = run, copy
+
+    def __call__(self, network, recorded):
+        if self.count == 1:
+            shutil.copytree(self.run, self.copy)
+        return super().__call__(network, recorded)
 
 
 def rows(path):

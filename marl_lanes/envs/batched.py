@@ -121,6 +121,7 @@ class LaneChangeEnv(EnvBase):
 
     Attributes:
         seconds: wall time of its steps and resets so far, without TorchRL's work around them.
+        has_state: whether there is ``state``.
         initial_seed: the seed with which the present random numbers began, given or drawn.
 
     Raises:

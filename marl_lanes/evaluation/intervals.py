@@ -1,5 +1,6 @@
 """Confidence intervals of means and rates over maneuvers that share roads."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,6 +102,55 @@ def estimate_ratio(
         return Estimate(None, None, None)
     value = float(upper.sum() / lower.sum())
     return _estimate(value, upper, lower, labels, confidence=confidence, seed=seed)
+
+
+def estimate_over_seeds(
+    seeds: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]],
+    *,
+    is_rate: bool = False,
+    confidence: float = CONFIDENCE,
+    seed: int = 0,
+) -> Estimate:
+    """Sum of all numerators divided by that of all denominators, over several trainings.
+
+    A resample draws as many trainings as there are, with replacement, and of each drawn one whole
+    groups: maneuvers of one training share its policy, those of one road its traffic. Of one
+    training only the groups are drawn. A rate of 0 or 1 has the exact interval, as in
+    ``estimate_mean``. Values that are not finite are left out.
+
+    Args:
+        seeds: of each training the numerators (N,), the denominators (N,), ones for a mean, and
+            the groups (N,), the road of each maneuver.
+        is_rate: whether the numerators are 0 or 1, and the denominators 1.
+        confidence: coverage, between 0 and 1.
+        seed: of the resamples.
+    """
+    parts = []
+    for numerators, denominators, groups in seeds:
+        upper, lower = np.asarray(numerators, np.float64), np.asarray(denominators, np.float64)
+        is_defined = np.isfinite(upper) & np.isfinite(lower)
+        _, group = np.unique(np.asarray(groups)[is_defined], return_inverse=True)
+        if group.size:
+            sums = [np.bincount(group, values[is_defined]) for values in (upper, lower)]
+            parts.append(np.stack(sums))
+    total = np.sum([part.sum(axis=1) for part in parts], axis=0) if parts else np.zeros(2)
+    if not total[1]:
+        return Estimate(None, None, None)
+    value = float(total[0] / total[1])
+    if is_rate and value in {0.0, 1.0}:
+        exact = stats.binomtest(round(total[0]), round(total[1])).proportion_ci(confidence)
+        return Estimate(value, float(exact.low), float(exact.high))
+    generator = np.random.default_rng(seed)
+    drawn = np.zeros((2, NUM_RESAMPLES))
+    for chosen in generator.integers(len(parts), size=(len(parts), NUM_RESAMPLES)):
+        for index, part in enumerate(parts):
+            (resamples,) = np.nonzero(chosen == index)
+            for some in np.array_split(resamples, len(resamples) // _BATCH + 1):
+                drawn_groups = generator.integers(part.shape[1], size=(len(some), part.shape[1]))
+                drawn[:, some] += part[:, drawn_groups].sum(axis=-1)
+    tail = (1.0 - confidence) / 2.0
+    low, high = np.quantile(drawn[0] / drawn[1], (tail, 1.0 - tail))
+    return Estimate(value, float(low), float(high))
 
 
 def _estimate(

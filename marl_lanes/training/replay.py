@@ -1,4 +1,4 @@
-"""What the updates are drawn from: the newest transitions, and the rare ones once more."""
+"""What off-policy updates are drawn from: the newest transitions, and the rare ones once more."""
 
 import os
 import shutil

@@ -121,6 +121,36 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(program, whole, tmp_pa
     assert all(torch.equal(value, other[key]) for key, value in one.items())
 
 
+def test_a_centralised_critic_is_trained_and_resumed(program, tmp_path, monkeypatch):
+    """From the command line, where the environment has to have the state."""
+    monkeypatch.chdir(prepare(tmp_path))
+    absent = ("td3", "replay", "optimizer.transitions")
+    tiny = [option for option in TINY if not option.startswith(absent)]
+    arguments = ["mappo", *tiny, "epochs.batch_size=16"]
+    learners = []
+    with monkeypatch.context() as context:
+        context.setattr(program, "run", lambda *given: learners.append(given[0]))
+        program.main(replaced(arguments))
+    (learner,) = learners
+    assert learner.env.has_state
+    for _ in range(3):
+        learner.learn(learner.collect())
+    learner.save()
+    learner.close()
+    # What comes after a training, the other tests look at.
+    monkeypatch.setattr(program, "run", lambda *given: learners.append(given[0]))
+    program.main(["mappo", "resume=run"])
+    again = learners.pop()
+    assert again.env.has_state
+    assert again.transitions == learner.transitions
+    again.learn(again.collect())
+    again.close()
+    with Path("run", "metrics.csv").open(newline="", encoding="utf-8") as file:
+        metrics = list(csv.DictReader(file))
+    assert float(metrics[-1]["loss"]) > 0.0
+    assert int(metrics[-1]["transitions"]) > learner.transitions
+
+
 @pytest.mark.parametrize(
     ("option", "message"),
     [

@@ -22,6 +22,7 @@ WRONG = {
     "num_threads": (*NO_WHOLE, 0, 10**9),
     "first_road": (*NO_WHOLE, None, 2**63),
     "learned_followers": NO_FLAG,
+    "has_state": NO_FLAG,
     "fixed_agents": NO_FLAG,
     "follower_policies": ([], 3, "x", {"mine": 3}, {1: len}, {"mine": None}, len),
     "device": ("", "nowhere", "meta", "cuda:99", 1.5, [], {}, torch.float32),

@@ -1,9 +1,11 @@
 """All vehicles as one table: against the simulator's own."""
 
+from functools import partial
+
 import numpy as np
 
-from marl_lanes import parallel_env
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS
+from marl_lanes import LaneChangeEnv, parallel_env
+from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_table
 from marl_lanes.traffic.machine.state import NONE
 
 
@@ -30,3 +32,31 @@ def test_state_shows_every_vehicle_by_decreasing_position():
         commanded |= live
         road.step({agent: np.zeros(1, np.float32) for agent in road.agents})
     assert commanded == set(road.possible_agents)
+
+
+def test_every_road_of_the_batched_environment_has_its_state():
+    """As each road alone has it, but with slots in place of the commands' numbers."""
+    make = partial(LaneChangeEnv, "dense", seed=0, overrides={"command": {"probability": 1.0}})
+    env, plain = make(num_envs=3, has_state=True), make(num_envs=3)
+    alone = [make(num_envs=1, first_road=road) for road in range(3)]
+    step, other = env.reset(), plain.reset()
+    assert "state" not in other.keys()  # noqa: SIM118
+    steps = [one.reset() for one in alone]
+    seen = set()
+    for _ in range(30):
+        assert env.observation_spec.contains(step.select(*env.observation_spec.keys()))
+        for road, one in enumerate(alone):
+            table = read_vehicle_table(one.simulator)
+            found = step["state"][road].numpy()
+            assert np.array_equal(found[:, :-1], table[:, :-1])
+            commands = one.simulator.agents["command"][0]
+            slots = found[:, -1].astype(int)
+            assert np.array_equal(slots == NONE, table[:, -1] == NONE)
+            assert np.array_equal(commands[slots[slots != NONE]], table[slots != NONE, -1])
+            seen |= set(slots.tolist())
+        step = env.step(env.full_action_spec.zero().update(step))["next"]
+        steps = [
+            one.step(one.full_action_spec.zero().update(now))["next"]
+            for one, now in zip(alone, steps, strict=True)
+        ]
+    assert seen >= {NONE, 0, 1}

@@ -5,7 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from marl_lanes.evaluation.intervals import Estimate, estimate_mean, estimate_ratio
+from marl_lanes.evaluation.intervals import (
+    Estimate,
+    estimate_mean,
+    estimate_over_seeds,
+    estimate_ratio,
+)
 
 
 def width(found):
@@ -154,3 +159,38 @@ def test_a_ratio_leaves_out_what_is_not_defined():
     assert estimate_ratio([1.0], [math.nan], [0]) == Estimate(None, None, None)
     assert estimate_ratio([], [], []) == Estimate(None, None, None)
     assert estimate_ratio([1.0, 3.0], [1.0, 1.0], [2, 2]) == Estimate(2.0, None, None)
+
+
+def of_seed(values, roads):
+    return values, np.ones(len(values)), roads
+
+
+def test_an_interval_is_wider_where_the_trainings_differ():
+    generator = np.random.default_rng(0)
+    roads = np.repeat(np.arange(50), 4)
+    noise = generator.normal(size=(3, 200))
+    one = estimate_over_seeds([of_seed(part + 5.0, roads) for part in noise])
+    means = zip(noise, (3.0, 5.0, 7.0), strict=True)
+    other = estimate_over_seeds([of_seed(part + mean, roads) for part, mean in means])
+    assert one.value == pytest.approx(5.0, abs=0.2)
+    assert other.value == pytest.approx(one.value)
+    # Of 600 values without a common cause: 1.96 / sqrt(600) on each side.
+    assert 0.1 < one.high - one.low < 0.3
+    assert other.low < 4.0 < 6.0 < other.high
+
+
+def test_over_trainings_roads_are_drawn_whole_and_undefined_values_left_out():
+    values, roads = np.repeat([0.0, 10.0], 100), np.repeat([0, 1], 100)
+    assert estimate_over_seeds([of_seed(values, roads)]) == Estimate(5.0, 0.0, 10.0)
+    assert estimate_over_seeds([of_seed([1.0, 3.0, np.nan], [0, 1, 2])]).value == 2.0
+    ratio = [([-6.0, -3.0, -1.0], [-4.0, -2.0, np.nan], [0, 1, 2])] * 2
+    assert estimate_over_seeds(ratio) == Estimate(1.5, 1.5, 1.5)
+    nothing = Estimate(None, None, None)
+    assert estimate_over_seeds([of_seed([None], [0])]) == estimate_over_seeds([]) == nothing
+
+
+def test_a_rate_without_a_failure_over_trainings_has_the_exact_interval():
+    seeds = [of_seed(np.ones(50), np.arange(50))] * 2
+    found = estimate_over_seeds(seeds, is_rate=True)
+    assert found == estimate_mean(np.ones(100), np.arange(100), is_rate=True)
+    assert found.low == pytest.approx(0.9638, abs=1e-4)

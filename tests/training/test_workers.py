@@ -22,7 +22,7 @@ from collecting import (
 
 from marl_lanes import LaneChangeEnv
 from marl_lanes.training.collectors import LocalCollector, WorkerError
-from marl_lanes.training.workers import ProcessCollector, WorkerEnv
+from marl_lanes.training.workers import ProcessCollector, WorkerEnv, _worker_envs
 
 pytestmark = [
     pytest.mark.training,
@@ -35,7 +35,9 @@ torch.set_num_threads(1)
 
 def worker_env(worker, seed=SEED):
     scenario = LaneChangeEnv("paper", 1, overrides=BUSY, seed=0).scenario
-    return WorkerEnv(worker, scenario, NUM_ROADS // 2, seed=seed, learned_followers=False)
+    return WorkerEnv(
+        worker, scenario, NUM_ROADS // 2, seed=seed, learned_followers=False, has_state=False
+    )
 
 
 def test_the_roads_of_the_workers_are_those_of_one_process():
@@ -54,6 +56,13 @@ def test_the_roads_of_the_workers_are_those_of_one_process():
             roads = slice(worker * NUM_ROADS // 2, (worker + 1) * NUM_ROADS // 2)
             assert table[roads].tobytes() == getattr(part.simulator.state, name).tobytes(), name
     assert whole.simulator.is_live.any()
+
+
+def test_workers_have_the_state_if_their_pattern_has_it():
+    for has_state in (True, False):
+        pattern = LaneChangeEnv("paper", 2, overrides=BUSY, seed=SEED, has_state=has_state)
+        for worker in (make_env() for make_env in _worker_envs(pattern, 2)):
+            assert ("state" in worker.reset().keys()) == has_state  # noqa: SIM118
 
 
 def test_every_worker_has_noise_of_its_own():

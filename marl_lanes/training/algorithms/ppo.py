@@ -151,6 +151,9 @@ class PPO(Algorithm):
         """
         acting = batch[self.group, "acting"]
         rows = live_transitions(batch, self.group)
+        if not len(rows):
+            # Torch has no probabilities of no actions.
+            return rows
         if self.is_centralised:
             rows["state"] = take_surroundings(batch["state"], acting)
             rows["next", "state"] = take_surroundings(batch["next", "state"], acting)

@@ -1,77 +1,35 @@
 """TD3: its target, its delays and bounds, and that a learner trains, saves and resumes it."""
 
-import shutil
-from pathlib import Path
+from functools import partial
 
 import pytest
 import torch
 from collecting import BUSY
-from learners import TINY, TWO_ACTIONS, Evaluation, rows, tables
-from tensordict import TensorDict
+from learners import (
+    TWO_ACTIONS,
+    Evaluation,
+    baseline,
+    check_resuming,
+    is_changed,
+    state,
+    tables,
+    transitions,
+)
 
-from marl_lanes import LaneChangeEnv, load_scenario
+from marl_lanes import load_scenario
 from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
-from marl_lanes.training.algorithms.td3 import TD3, TD3Config
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
     load_policy,
-    make_actor_network,
     save_checkpoint,
 )
-from marl_lanes.training.command_line import compose_fields
-from marl_lanes.training.config import validate
-from marl_lanes.training.learner import Learner
 
 torch.set_num_threads(1)
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
 )
 
-FOLDER = Path(__file__).parents[3] / "agents" / "baselines"
-
-
-def make(*options, overrides=BUSY, seed=0, **places):
-    """A learner with TD3 on a tiny budget."""
-    tiny = [option for option in TINY if "pretraining" not in option]
-    fields = compose_fields(TD3Config, FOLDER, [*tiny, *options], file="td3")
-    del fields["collector"]["kind"]
-    config = validate(TD3Config, {name: fields[name] for name in TD3Config.model_fields})
-    env = LaneChangeEnv("paper", 8, overrides=overrides, seed=seed)
-    torch.manual_seed(seed)
-    network = make_actor_network(env.scenario, config.network.hidden_sizes)
-    return Learner(config, env, TD3(config, env, network, **places))
-
-
-def transitions(algorithm, count=64):
-    """Made-up ones, in the features' and actions' units."""
-    box, normalise = algorithm.network.box, algorithm.network.normalise
-    shape = (count, len(algorithm.network.features))
-    terminated, truncated = (torch.rand(count, 1) > 0.7 for _ in range(2))
-    truncated &= ~terminated
-    return TensorDict(
-        {
-            "observation": torch.randn(shape) * normalise.scale + normalise.offset,
-            "action": box.low + (box.high - box.low) * torch.rand(count, box.low.numel()),
-            "next": {
-                "observation": torch.randn(shape) * normalise.scale + normalise.offset,
-                "reward": torch.randn(count, 1),
-                "terminated": terminated,
-                "truncated": truncated,
-                "done": terminated | truncated,
-            },
-        },
-        [count],
-    )
-
-
-def state(algorithm):
-    return {key: value.clone() for key, value in algorithm.loss.state_dict().items()}
-
-
-def is_changed(before, after, part):
-    keys = [key for key in before if key.startswith(f"{part}_network_params.") and "layers" in key]
-    assert keys
-    return any(not torch.equal(before[key], after[key]) for key in keys)
+make = partial(baseline, "td3")
 
 
 @pytest.fixture
@@ -184,39 +142,12 @@ def test_step_sizes_and_noise_fall(learner):
     assert algorithm.schedules()["sigma"] == pytest.approx(0.1)
 
 
-class Crash(Evaluation):
-    """Copies the run folder in the middle of the training."""
-
-    def __init__(self, run, copy):
-        super().__init__()
-        self.run, self.copy = run, copy
-
-    def __call__(self, network, recorded):
-        if self.count == 1:
-            shutil.copytree(self.run, self.copy)
-        return super().__call__(network, recorded)
-
-
 @pytest.mark.training
 @pytest.mark.parametrize("overrides", [BUSY, TWO_ACTIONS], ids=["one", "two"])
 def test_a_training_that_is_resumed_is_the_same(tmp_path, overrides):
-    one = make(overrides=overrides)
-    one.begin(tmp_path / "one")
-    before = state(one.algorithm)
-    assert one.train(Crash(tmp_path / "one", tmp_path / "other"))
-    assert all(is_changed(before, state(one.algorithm), part) for part in PARTS)
-    metrics = rows(tmp_path / "one" / "metrics.csv")
+    metrics = check_resuming(tmp_path, partial(make, overrides=overrides))
     assert list(metrics[0])[2:5] == ["loss", "actor_loss", "sigma"]
     assert float(metrics[-1]["loss"]) > 0.0
-    other = make(overrides=overrides, seed=9)
-    other.resume(tmp_path / "other")
-    assert 0 < other.transitions < 300
-    assert other.train(Evaluation())
-    for learner in (one, other):
-        learner.close()
-    assert tables(tmp_path / "one") == tables(tmp_path / "other")
-    for key, value in state(one.algorithm).items():
-        assert torch.equal(state(other.algorithm)[key], value), key
 
 
 @pytest.mark.training

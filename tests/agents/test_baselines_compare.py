@@ -1,0 +1,162 @@
+"""The comparison of algorithms: its plan, its intervals, its table, and what it refuses."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from programs import BUSY, load_program, run_main
+
+from marl_lanes import load_scenario
+from marl_lanes.files import write_json
+from marl_lanes.training.checkpoint import make_actor_network, save_checkpoint
+
+FOLDER = Path(__file__).parents[2] / "agents"
+PROGRAM = FOLDER / "baselines" / "compare.py"
+
+
+@pytest.fixture(scope="module")
+def program():
+    return load_program(PROGRAM)
+
+
+def pretend(runs, folder, *, num_processes):
+    """Instead of trainings: what they leave, untrained."""
+    assert num_processes == 1
+    for run in runs:
+        path = folder / run.name
+        if path.exists():
+            continue
+        (path / "checkpoints").mkdir(parents=True)
+        given = dict(one.split("=") for one in run.arguments if "=" in one)
+        count = int(given["collector.total_transitions"])
+        scenario = load_scenario(given["scenario"])
+        for name in ("step_000000007.pt", "final.pt"):
+            network = make_actor_network(scenario, [4])
+            save_checkpoint(path / "checkpoints" / name, network, scenario.name, count)
+        write_json(path / "training.json", {"seconds_training": 0.05})
+        (path / "metrics.csv").write_text(f"transitions,loss\n5,1.0\n{count + 9},0.5\n", "utf-8")
+    return True
+
+
+@pytest.mark.parametrize(
+    "is_pretended", [True, pytest.param(False, marks=[pytest.mark.training, pytest.mark.long])]
+)
+def test_a_comparison_of_two_budgets_and_a_policy(program, tmp_path, monkeypatch, is_pretended):
+    (tmp_path / "busy.yaml").write_text(BUSY, encoding="utf-8")
+    docs = tmp_path / "docs.md"
+    docs.write_text(f"before\n{program.MARKS[0]}\nold\n{program.MARKS[1]}\nafter\n", "utf-8")
+    if is_pretended:
+        monkeypatch.setattr(program, "carry_out", pretend)
+    options = ["--quick", "--scenario", "busy.yaml", "--output", "out", "--seeds", "0"]
+    options += ["--algorithms", "ippo", "--policies", "lane-keeping", "--docs", "docs.md"]
+    out, _ = run_main(program, tmp_path, *options)
+    rows = json.loads((tmp_path / "out" / "comparison.json").read_text("utf-8"))["rows"]
+    assert [(row["policy"], row["budget"]) for row in rows] == [
+        ("lane-keeping", ""),
+        ("ippo", "400 transitions"),
+        ("ippo", "0.1 s"),
+    ]
+    # Who keeps the lane never changes it, and no cost hides that.
+    assert rows[0]["success_rate"]["value"] == 0.0
+    assert rows[0]["cost_ratio"]["value"] is None
+    first, second = (row["transitions"][0] for row in rows[1:])
+    assert first >= 400
+    assert not is_pretended or (first, second) == (409, 809)
+    assert rows[1]["transitions_to_good"] == [None]
+    assert min(row[f"microseconds_of_{size}"][0] for row in rows for size in (1, 64)) > 0.0
+    text = docs.read_text("utf-8")
+    assert text.startswith(f"before\n{program.MARKS[0]}\n| policy | budget | success [%] |")
+    assert text.endswith(f"|\n{program.MARKS[1]}\nafter\n")
+    assert "old" not in text
+    assert "| lane-keeping | - | 0.0 [0.0, " in text
+    assert text.count("| ippo |") == out.count("| ippo |") == 2
+    with (tmp_path / "out" / "comparison.csv").open(newline="", encoding="utf-8") as file:
+        assert [row["policy"] for row in csv.DictReader(file)] == ["lane-keeping", "ippo", "ippo"]
+    # What is measured of a run is kept with it.
+    monkeypatch.setattr(program, "drive", None)
+    again, _ = run_main(program, tmp_path, *options[:-4], "--policies")
+    assert again.splitlines()[-2:] == out.splitlines()[-2:]
+
+
+def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatch):
+    """A low cost of the few changes that are completed is none."""
+    scenario = load_scenario("paper")
+    options = program.parse([])
+    found = {"return": [-4.0, -5.0], "optimal_return": [-4.0, -4.0], "road": [0, 1]}
+    models = dict.fromkeys(("step_000000100", "step_000000300"), (1.0, 0.0))
+    models["step_000000200"] = (1.0, 1.0)
+    asked = []
+
+    def drive(name, *_):
+        asked.append(name)
+        return {**found, "success_rate": models[Path(name).stem]}
+
+    monkeypatch.setattr(program, "drive", drive)
+    monkeypatch.setattr(program, "make_policy", lambda name, *_: name)
+    monkeypatch.setattr(program, "measure", lambda *_: {"maneuvers": {}})
+    (tmp_path / "checkpoints").mkdir()
+    for name in models:
+        (tmp_path / "checkpoints" / f"{name}.pt").touch()
+    write_json(tmp_path / "training.json", {"seconds_training": 3.0})
+    (tmp_path / "metrics.csv").write_text("transitions\n250\n", "utf-8")
+    result = program.measure_run(tmp_path, scenario, options)
+    assert result == {
+        "maneuvers": {},
+        "transitions_to_good": 200,
+        "training_seconds": 3.0,
+        "transitions": 250,
+    }
+    assert len(asked) == 2
+    dear = found | {"success_rate": (1.0, 1.0), "return": [-5.0, None]}
+    assert [program.is_good(dear | {"return": [-4.5, cost]}) for cost in (None, -4.7, -4.8)] == [
+        True,
+        True,
+        False,
+    ]
+
+
+def test_whatever_falls_falls_over_the_whole_budget(program):
+    options = program.parse([])
+    run = program.plan(options, "naf", 2, "transitions", 50_000)
+    assert (run.name, run.program) == ("naf-transitions-2", "agents/naf/train.py")
+    assert {
+        "seed=2",
+        "collector.total_transitions=50000",
+        "evaluation.save_interval=5000",
+        "optimizer.pretraining_transitions=15000",
+        "exploration.annealing_transitions=50000",
+    } <= set(run.arguments)
+    train = load_program(FOLDER / "baselines" / "train.py")
+    for algorithm in options.algorithms:
+        if algorithm == "naf":
+            continue
+        run = program.plan(options, algorithm, 0, "transitions", 50_000)
+        config = train.read(run.arguments[0], run.arguments[1:])
+        assert config.collector.total_transitions == 50_000
+        if hasattr(config.exploration, "annealing_transitions"):
+            assert config.exploration.annealing_transitions == 50_000
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--algorithms", "--policies"], "--algorithms, --policies: must name something"),
+        (["--seconds", "0"], "--seconds = 0.0: must be above 0"),
+        (["--algorithms", "ppo2"], "argument --algorithms: invalid choice: 'ppo2'"),
+        (["--policies", "nobody"], "checkpoint nobody: cannot be read"),
+        (["--scenario", "nope"], "scenario 'nope': no such scenario"),
+        (["--docs", "absent.md"], "[Errno 2]"),
+        (["--docs", "empty.md"], "--docs empty.md: must have the lines"),
+    ],
+)
+def test_a_bad_call_is_one_line(program, tmp_path, monkeypatch, capsys, options, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty.md").touch()
+    with pytest.raises(SystemExit) as caught:
+        program.main(options)
+    assert caught.value.code == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"error: {message}")
+    assert len(err.splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["empty.md"]
