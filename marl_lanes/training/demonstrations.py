@@ -88,8 +88,7 @@ def collect_demonstrations(
             num_found += len(observations)
             simulator.step(actions)
     rows = np.concatenate(seen)[:wanted], np.concatenate(shown)[:wanted]
-    observations, chosen = (torch.as_tensor(one, dtype=torch.float32) for one in rows)
-    return observations, chosen
+    return torch.as_tensor(rows[0]), torch.as_tensor(rows[1], dtype=torch.float32)
 
 
 def imitate(

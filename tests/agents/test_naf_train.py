@@ -482,6 +482,25 @@ def test_a_policy_of_the_zoo_is_an_initial_checkpoint(program, small_zoo, tmp_pa
     assert_same_weights(read_content(small_zoo / "paper.pt")["weights"], network.state_dict())
 
 
+@collector_warnings
+def test_a_training_starts_from_demonstrations(program, tmp_path, monkeypatch):
+    """mu has learned from the controller, and goes on from the run's own weights when resumed."""
+    monkeypatch.chdir(prepare(tmp_path))
+    few = ("demonstrations.num_transitions=60", "demonstrations.num_updates=200")
+    config = read(program, *few, "network.mu=mlp", "network.knows_action_cost=false")
+    learner = begin(program, config)
+    assert learner.transitions == 0
+    fitted = {name: value.clone() for name, value in learner.algorithm.network.state_dict().items()}
+    greedy = greedy_policy(learner.algorithm.network)
+    start = np.asarray([[20.0, 0.0, 3.75, 0.0, 0.0, 0.0]], np.float32)
+    assert greedy(start)[0, 0] > 0.05
+    learner.close()
+    resumed = config.model_copy(update={"resume": "run", "seed": 1})
+    learner = begin(program, resumed)
+    assert_same_weights(fitted, learner.algorithm.network.state_dict())
+    learner.close()
+
+
 @pytest.mark.parametrize(
     ("network", "message"),
     [

@@ -1,0 +1,84 @@
+"""Demonstrations of an expert, and what imitates them."""
+
+import numpy as np
+import pytest
+import torch
+from collecting import BUSY
+
+from marl_lanes import load_scenario
+from marl_lanes.training.checkpoint import make_network
+from marl_lanes.training.demonstrations import (
+    DemonstrationsConfig,
+    collect_demonstrations,
+    imitate,
+)
+
+SCENARIO = load_scenario("paper", BUSY)
+SPEED, DEVIATION, YAW_RATE = 0, 2, 4
+
+
+def settings(**changes):
+    chosen = {"num_transitions": 400, "num_updates": 300, "batch_size": 64, "learning_rate": 0.01}
+    return DemonstrationsConfig(**(chosen | {"sigma": 0.2} | changes))
+
+
+def expert(observations):
+    """Smooth, so that a network can learn it; the lane change goes on for the whole road."""
+    seen = observations.astype(np.float64)
+    return 0.3 * np.tanh(seen[:, [DEVIATION]] / 4.0) - 1.5 * seen[:, [YAW_RATE]]
+
+
+@pytest.fixture(scope="module")
+def shown():
+    return collect_demonstrations(SCENARIO, expert, settings(), 5)
+
+
+def test_the_actions_are_those_of_the_expert_without_noise(shown):
+    observations, actions = shown
+    assert observations.shape == (400, 6)
+    assert actions.shape == (400, 1)
+    assert (observations[:, SPEED] > 0).all()
+    assert actions.numpy() == pytest.approx(expert(observations.numpy()), abs=1e-6)
+
+
+def test_the_same_seed_has_the_same_demonstrations(shown):
+    again = collect_demonstrations(SCENARIO, expert, settings(), 5)
+    other = collect_demonstrations(SCENARIO, expert, settings(), 6)
+    assert all(torch.equal(*pair) for pair in zip(shown, again, strict=True))
+    assert not torch.equal(shown[0], other[0])
+
+
+def test_noise_brings_the_states_around_the_paths():
+    def beginnings(observations):
+        near = (observations[:, DEVIATION] - 3.75).abs() < 0.05
+        return observations[near, YAW_RATE]
+
+    quiet, _ = collect_demonstrations(SCENARIO, expert, settings(sigma=0.0), 5)
+    assert beginnings(quiet).min() >= 0.0
+    loud, _ = collect_demonstrations(SCENARIO, expert, settings(sigma=1.0), 5)
+    assert (beginnings(loud) < 0.0).sum() > 5
+    # Clipped to the bound of the action, 0.5 rad/s^2.
+    wild, _ = collect_demonstrations(SCENARIO, expert, settings(sigma=100.0), 5)
+    assert beginnings(wild).abs().max() > 0.049
+    assert wild[:, YAW_RATE].abs().max() < 0.5
+
+
+def test_mu_is_fitted_to_them_and_nothing_else(shown):
+    torch.manual_seed(0)
+    network = make_network(SCENARIO, "mlp", [16])
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    untrained = (network.policy().module(shown[0]) - shown[1]).square().mean() / 0.25
+    loss = imitate(network, *shown, settings())
+    assert loss < 0.01 * untrained
+    greedy = network.policy().module(shown[0]).detach()
+    assert float((greedy - shown[1]).square().mean() / 0.25) == pytest.approx(loss, rel=0.5)
+    changed = {
+        name for name, value in network.state_dict().items() if (value != before[name]).any()
+    }
+    assert changed
+    assert all(name.startswith("mu.") for name in changed)
+
+
+def test_too_many_are_refused_before_anything_drives():
+    with pytest.raises(ValueError, match=r"demonstrations\.num_transitions = 1000000000000: needs"):
+        collect_demonstrations(SCENARIO, expert, settings(num_transitions=10**12), 0)
