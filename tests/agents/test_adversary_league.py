@@ -158,6 +158,24 @@ def test_an_interruption_changes_nothing(program, league, tmp_path):
             assert (again / name / table).read_bytes() == (run / name / table).read_bytes()
 
 
+def test_the_ratings_of_two_leagues_are_drawn_together(league, tmp_path, capsys):
+    run, _ = league
+    program = load_program(FOLDER / "ratings.py")
+    files = [str(run / "ratings.json"), str(run / "ratings.json")]
+    program.main([*files, "--figure", str(tmp_path / "both.svg")])
+    assert (tmp_path / "both.svg").read_text(encoding="utf-8").count("late-yielder") == 1
+    (tmp_path / "other.json").write_text('{"ratings": []}', encoding="utf-8")
+    for bad, reason in (("gone.json", "cannot be read"), ("other.json", "num_maneuvers")):
+        with pytest.raises(SystemExit) as caught:
+            program.main([str(tmp_path / bad), "--figure", str(tmp_path / "x.png")])
+        assert caught.value.code == 2
+        err = capsys.readouterr().err
+        assert len(err.splitlines()) == 1
+        assert bad in err
+        assert reason in err
+    assert names(tmp_path) == {"both.svg", "other.json"}
+
+
 def test_damaged_matches_are_refused(program, league, tmp_path, monkeypatch):
     run, _ = league
     shutil.copytree(run, tmp_path / "run")
