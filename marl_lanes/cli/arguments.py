@@ -40,8 +40,8 @@ def add_followers(parser: argparse.ArgumentParser, **options: Any) -> None:
         "--followers",
         nargs="+",
         metavar="FOLLOWER",
-        help=f"{', '.join(SCRIPTED)}, learned:CHECKPOINT, learned:zoo:NAME, or a name given to "
-        "register_follower" + note,
+        help=f"{', '.join(SCRIPTED)}, learned:CHECKPOINT, learned:zoo:NAME, brake-checker, "
+        "late-yielder, or a name given to register_follower" + note,
         **options,
     )
 

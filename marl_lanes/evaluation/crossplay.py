@@ -102,14 +102,7 @@ def crossplay(
         ValueError: another argument is out of range.
     """
     pairs = [
-        {
-            "changer": pair.changer,
-            "scenario": pair.scenario.name,
-            "followers": pair.followers,
-            "num_maneuvers": len(pair.maneuvers),
-            "num_roads": len({maneuver.env for maneuver in pair.maneuvers}),
-            "statistics": estimate(pair.maneuvers, pair.scenario, seed=seed),
-        }
+        describe_pair(pair, seed=seed)
         for pair in drive_pairs(
             changers,
             followers,
@@ -119,14 +112,51 @@ def crossplay(
             progress=progress,
         )
     ]
+    names = {label: scenario.name for label, (scenario, _) in changers.items()}
+    return compose_result(names, followers, pairs, num_maneuvers, seed)
+
+
+def compose_result(
+    changers: Mapping[str, str],
+    followers: Mapping[str, Mapping[str, Any]],
+    pairs: Sequence[Mapping[str, Any]],
+    num_maneuvers: int,
+    seed: int,
+) -> dict[str, Any]:
+    """The result of ``crossplay`` from its parts.
+
+    Args:
+        changers: label to scenario name.
+        followers: label to overrides, as for ``crossplay``.
+        pairs: of ``describe_pair``.
+        num_maneuvers: of each pair.
+        seed: of the traffic and of the resamples.
+    """
     return {
         "num_maneuvers": num_maneuvers,
         "seed": seed,
         "confidence": CONFIDENCE,
         "num_resamples": NUM_RESAMPLES,
-        "changers": {label: scenario.name for label, (scenario, _) in changers.items()},
+        "changers": dict(changers),
         "followers": {label: dict(override) for label, override in followers.items()},
-        "pairs": pairs,
+        "pairs": list(pairs),
+    }
+
+
+def describe_pair(pair: Pair, *, seed: int) -> dict[str, Any]:
+    """An entry of ``pairs`` in the result of ``crossplay``.
+
+    Args:
+        pair: that has driven.
+        seed: of the resamples.
+    """
+    return {
+        "changer": pair.changer,
+        "scenario": pair.scenario.name,
+        "followers": pair.followers,
+        "num_maneuvers": len(pair.maneuvers),
+        "num_roads": len({maneuver.env for maneuver in pair.maneuvers}),
+        "statistics": estimate(pair.maneuvers, pair.scenario, seed=seed),
     }
 
 

@@ -150,6 +150,22 @@ def format_gaps(result: Mapping[str, Any]) -> str:
     return intro + "\n\n" + format_table(head, rows, 1)
 
 
+def format_ratings(ratings: Sequence[Mapping[str, Any]]) -> str:
+    """One row per player of a league, with the shares of its maneuvers that the rating is from.
+
+    Args:
+        ratings: the fields of ``Rating``, of each player.
+    """
+    rows = []
+    for one in ratings:
+        shares = [one[key] for key in ("success_rate", "missed_rate", "nobody_rate")]
+        value = {"value": one["rating"], "low": one["low"], "high": one["high"]}
+        rates = [f"{PER_CENT * share:.1f}" for share in shares]
+        rows.append([one["player"], one["role"], format_estimate(value, decimals=0), *rates])
+    head = ["player", "role", "rating", "success [%]", "missed [%]", "won by nobody [%]"]
+    return format_table(head, rows, 1)
+
+
 def format_table(head: Sequence[str], rows: Sequence[Sequence[str]], num_labels: int) -> str:
     """Aligned columns, in several blocks if they are wider than the terminal.
 

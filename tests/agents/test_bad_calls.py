@@ -27,6 +27,7 @@ PROGRAMS = {
     "naf": Program(AGENTS / "naf" / "train.py", ["output=run"]),
     "td3": Program(AGENTS / "baselines" / "train.py", ["td3", "output=run"]),
     "adversary": Program(AGENTS / "adversary" / "train.py", ["changer=none.pt", "output=run"]),
+    "league": Program(AGENTS / "adversary" / "league.py", ["changer=none.pt", "output=run"]),
     "cascade": Program(AGENTS / "cascade" / "tune.py", ["--output", "run.json"]),
 }
 NUMBERS = ["nan", "-inf", "1e308", "-1e308", "1" + "0" * 40, "-1", "many", "true", "null", "[1]"]
@@ -64,7 +65,8 @@ def config_of(name):
     module = load(name)
     if name == "td3":
         return module.BASELINES["td3"].config
-    return module.TrainingConfig if name == "naf" else module.AdversaryConfig
+    kinds = {"naf": "TrainingConfig", "adversary": "AdversaryConfig", "league": "LeagueConfig"}
+    return getattr(module, kinds[name])
 
 
 def leaves(kind, prefix=""):
@@ -201,16 +203,25 @@ recipe=paper ; recipe
 seed=1 ; changer = 'none.pt'
 changer=busy.yaml ; 'busy.yaml'
 objective=kind ; objective
-rounds=-1 ; rounds = -1
-scripted.adversarial=0.9 ; scripted
-scripted.adversarial=-1.0 ; scripted.adversarial
-scripted.friendly=0.1 ; scripted
-+scripted.friendly=0.1 ; friendly
 follower.evaluation.criterion=beauty ; criterion = 'beauty'
 follower.collector.num_envs=1000000000 ; follower.collector.num_envs = 1000000000
 follower.replay.capacity=1000000000000 ; follower.replay.capacity = 1000000000000
 follower.hidden_sizes=[1000000,1000000] ; follower.hidden_sizes = [1000000, 1000000]
-rounds=1 hardening.replay.capacity=1000000000000 ; hardening.replay.capacity = 1000000000000
+hardening.replay.capacity=1 ; hardening
+""",
+    "league": """
+seed=1 ; changer = 'none.pt'
+changer=busy.yaml ; 'busy.yaml'
+objective=adversarial ; objective
+generations=0 ; generations = 0
+exponent=-0.5 ; exponent = -0.5
+followers=[nobody] ; 'nobody'
+followers=[learned] ; 'learned'
+held_out=[neutral] ; 'neutral'
+held_out=[1st] ; held_out
+hardening.evaluation.criterion=beauty ; criterion = 'beauty'
+hardening.replay.capacity=1000000000000 ; hardening.replay.capacity = 1000000000000
+follower.hidden_sizes=[1000000,1000000] ; follower.hidden_sizes = [1000000, 1000000]
 """,
 }
 OPTIONS = ("generations", "population", "roads", "seconds", "seed")
@@ -311,7 +322,7 @@ def test_calls_that_are_refused_at_once(name, folder, capsys):
         check_call(name, arguments, part, folder, capsys)
 
 
-@pytest.mark.parametrize("name", ["naf", "td3", "adversary"])
+@pytest.mark.parametrize("name", ["naf", "td3", "adversary", "league"])
 def test_some_of_the_calls_that_are_composed_first(name, folder, capsys):
     found = [*written(name), *of_fields(name)]
     for arguments, part in itertools.islice(found, 5, None, len(found) // 5):

@@ -1,4 +1,4 @@
-"""Followers that a policy drives: the protocol, the registry, the checks."""
+"""Followers that a policy drives: the protocol, two examples, the registry, the checks."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -32,7 +32,49 @@ class FollowerError(ValueError):
     """A follower's policy returned invalid accelerations."""
 
 
-_registered: dict[str, FollowerPolicy] = {}
+def check_brakes(observations: NDArray[np.float32], /) -> NDArray[np.floating]:
+    """Speed up into the gap that the changer has accepted, brake hard where it gets short.
+
+    a = -3 m/s^2 where gap < 8 m + 0.5 s max(0, -dv), otherwise 2 m/s^2; dv is the changer's speed
+    minus its own.
+
+    Args:
+        observations: (n, G).
+
+    Returns:
+        accelerations, (n,) [m/s^2].
+    """
+    gap = observations[:, FOLLOWER_COLUMNS["gap"]]
+    closing = -observations[:, FOLLOWER_COLUMNS["relative_speed"]]
+    is_near = gap < 8.0 + 0.5 * np.maximum(closing, 0.0)
+    return np.where(is_near, -3.0, 2.0)
+
+
+def yield_late(observations: NDArray[np.float32], /) -> NDArray[np.floating]:
+    """Close up to the changer until its body is at the marking, then let it in.
+
+    a = clip(0.3/s^2 (gap - g) + 0.8/s dv, -3, 2) m/s^2, the constant-gap law of adaptive cruise
+    control. The wanted gap g is 5 m while the changer's centre is more than 2.8 m from that of the
+    target lane, and 2 m + 1.5 s v from then on. Half a lane of 3.75 m and half a car are 2.8 m.
+
+    Args:
+        observations: (n, G).
+
+    Returns:
+        accelerations, (n,) [m/s^2].
+    """
+    speed, gap, relative_speed, deviation = (
+        observations[:, FOLLOWER_COLUMNS[name]]
+        for name in ("speed", "gap", "relative_speed", "changer_lateral_deviation")
+    )
+    wanted = np.where(deviation > 2.8, 5.0, 2.0 + 1.5 * speed)
+    return np.clip(0.3 * (gap - wanted) + 0.8 * relative_speed, -3.0, 2.0)
+
+
+_registered: dict[str, FollowerPolicy] = {
+    "brake-checker": check_brakes,
+    "late-yielder": yield_late,
+}
 
 
 def register_follower(name: str, policy: FollowerPolicy) -> None:
@@ -77,11 +119,11 @@ def choose_policies(
         if name == LEARNED and has_learner:
             policy = None
         elif policy is None:
+            learned = "learned (with followers.learned.checkpoint or learned_followers=True)"
             raise ScenarioError(
                 f"scenario {scenario.name!r}: followers.mix: {name!r} has no policy; allowed: "
-                f"{', '.join(SCRIPTED)}, learned (with followers.learned.checkpoint or "
-                "learned_followers=True), a name given to register_follower "
-                f"({', '.join(sorted(_registered)) or 'none so far'}), or one in follower_policies"
+                f"{', '.join([*SCRIPTED, learned, *sorted(_registered)])}, or a name given to "
+                "register_follower or in follower_policies"
             )
         chosen.append(policy)
     return tuple(chosen)

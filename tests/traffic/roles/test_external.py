@@ -12,6 +12,7 @@ from marl_lanes.traffic.roles.external import FollowerError
 
 torch.set_num_threads(1)
 
+BUILT_IN = dict(external._registered)
 BUSY = {"departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
 
 
@@ -38,7 +39,7 @@ def test_a_policy_that_cannot_be_called_is_refused():
 def test_a_name_without_a_policy_is_refused(form):
     register_follower("another", brake_checker)
     for name in ("brake-checker", "learned"):
-        problem = rf"followers\.mix: '{name}' has no policy; allowed: cooperative.*\(another\)"
+        problem = rf"followers\.mix: '{name}' has no policy; allowed: cooperative.*, another, or"
         with pytest.raises(ScenarioError, match=problem):
             form("paper", overrides=mixed(name))
 
@@ -91,6 +92,46 @@ def test_a_registered_name_drives_the_same_road_in_every_form():
     while not plain.roads["is_done"][0]:
         advance(plain)
     assert plain.vehicles[0].tobytes() != expected[max(expected)]
+
+
+def seen(**columns):
+    """An observation for every value, zero in the other columns."""
+    (count,) = {len(values) for values in columns.values()}
+    rows = np.zeros((count, len(external.FOLLOWER_COLUMNS)), np.float32)
+    for name, values in columns.items():
+        rows[:, external.FOLLOWER_COLUMNS[name]] = values
+    return rows
+
+
+def test_a_brake_checker_closes_in_and_then_brakes():
+    rows = seen(gap=[20.0, 8.5, 7.5, 9.5, 9.5], relative_speed=[0.0, 0.0, 0.0, -4.0, 4.0])
+    assert external.check_brakes(rows).tolist() == [2.0, 2.0, -3.0, -3.0, 2.0]
+
+
+def test_a_late_yielder_closes_up_until_the_changer_is_at_the_marking():
+    rows = seen(
+        speed=[20.0] * 6,
+        gap=[30.0, 5.0, 5.0, 30.0, 20.0, 32.0],
+        relative_speed=[0.0, 0.0, -1.0, 0.0, 0.0, 1.0],
+        changer_lateral_deviation=[3.75, 3.75, 3.0, 2.7, 0.0, -0.1],
+    )
+    found = external.yield_late(rows)
+    assert found == pytest.approx([2.0, 0.0, -0.8, -0.6, -3.0, 0.8], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["brake-checker", "late-yielder"])
+def test_followers_with_names_need_no_registration(monkeypatch, name):
+    monkeypatch.setattr(external, "_registered", BUILT_IN)
+    unguarded = mixed(name, external={"is_guarded": False})
+    simulator = Simulator("dense", 4, overrides=unguarded, seed=0)
+    simulator.reset()
+    found, wanted = [], []
+    for _ in range(300):
+        (envs, slots), observed = advance(simulator)
+        found += simulator.vehicles[envs, slots]["acceleration"].tolist()
+        wanted += BUILT_IN[name](observed).tolist()
+    assert len(found) > 50
+    assert found == wanted
 
 
 def test_given_policies_come_before_registered_ones():
