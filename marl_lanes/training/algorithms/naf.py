@@ -76,6 +76,9 @@ class NetworkConfig(Section):
         description="whether Q has the reward's own cost of the yaw acceleration in it; with mu "
         "cascade alone"
     )
+    off_diagonal: bool = Field(
+        description="whether M of two actions is a full matrix; otherwise it is diagonal"
+    )
     hidden_sizes: Widths = Field(description="widths of the hidden layers of every network")
 
 
