@@ -42,7 +42,7 @@ SHORT = (
     "collector.total_transitions=300_000",
     "optimizer.pretraining_transitions=90_000",
     "exploration.annealing_transitions=300_000",
-    "evaluation.save_interval=30_000",
+    "evaluation.save_interval=50_000",
     "evaluation.record=false",
 )
 ONE_ACTION = (
@@ -80,6 +80,9 @@ VARIANTS = {
     "mu_damped": Variant("mu damped", ONE_ACTION, ("network.mu=damped",)),
     "mu_mlp": Variant("mu mlp", ONE_ACTION, ("network.mu=mlp",)),
     "no_stage_one": Variant("no stage one", ONE_ACTION, ("optimizer.pretraining_transitions=0",)),
+    "no_threshold": Variant(
+        "mu without the soft threshold", ONE_ACTION, ("network.mu=cascade-smooth",)
+    ),
     "plain_q": Variant(
         "Q without the action's own cost", ONE_ACTION, ("network.knows_action_cost=false",)
     ),
