@@ -141,7 +141,7 @@ def _train(learner: Learner, config: ChangersConfig, scenario: Scenario) -> None
             seed=settings.saved_models_seed,
             roads=[0],
         )
-        return evaluate(maneuvers, scenario, with_optimum=False)
+        return evaluate(maneuvers, scenario)
 
     if not learner.train(evaluate_model):
         print(f"interrupted; continue with resume={learner.run.path}")

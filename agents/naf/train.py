@@ -79,7 +79,11 @@ def start_network(config: TrainingConfig, scenario: Scenario) -> NAFNetwork:
     check_networks(config, "network.hidden_sizes", form.hidden_sizes, num_features)
     try:
         network = make_network(
-            scenario, form.mu, form.hidden_sizes, knows_action_cost=form.knows_action_cost
+            scenario,
+            form.mu,
+            form.hidden_sizes,
+            knows_action_cost=form.knows_action_cost,
+            off_diagonal=form.off_diagonal,
         )
     except ValueError as error:
         raise ConfigError(f"network.mu = {form.mu!r}: {error}") from None
@@ -95,6 +99,7 @@ def start_network(config: TrainingConfig, scenario: Scenario) -> NAFNetwork:
         ("mu", network.mu_name, initial.mu_name),
         ("hidden_sizes", network.hidden_sizes, initial.hidden_sizes),
         ("knows_action_cost", network.has_action_costs, initial.has_action_costs),
+        ("off_diagonal", network.off_diagonal, initial.off_diagonal),
     ):
         if found != wanted:
             raise ConfigError(

@@ -53,20 +53,20 @@ def draw_training(run: Path, pretraining_transitions: int, optimal_return: float
 
 
 def _draw_loss(run: Path, pretraining_transitions: int) -> None:
-    metrics = _read(run / "metrics.csv")
-    figure, (axes,) = _new_figure("Loss of each batch of updates", 1)
+    metrics = read_table(run / "metrics.csv")
+    figure, (axes,) = new_figure("Loss of each batch of updates", 1)
     has_loss = np.isfinite(metrics["loss"])
     axes.plot(metrics["transitions"][has_loss], metrics["loss"][has_loss], color=BLUE, lw=1.0)
     axes.set_yscale("log")
     axes.set_ylabel("mean squared error [1]")
-    _mark_stage((axes,), pretraining_transitions)
-    _write_formats(figure, run / "figures" / "loss")
+    mark_stage((axes,), pretraining_transitions)
+    write_formats(figure, run / "figures" / "loss")
 
 
 def _draw_returns(run: Path, pretraining_transitions: int, optimal_return: float | None) -> None:
-    maneuvers = _read(run / "maneuvers.csv")
+    maneuvers = read_table(run / "maneuvers.csv")
     transitions, returns = maneuvers["transitions"], maneuvers["return"]
-    figure, (axes,) = _new_figure("Total reward of each maneuver, with noise", 1)
+    figure, (axes,) = new_figure("Total reward of each maneuver, with noise", 1)
     # Many points are an image also in an SVG: as paths they would make it large and slow.
     axes.plot(
         transitions, returns, ".", ms=1.5, color=GREY, alpha=0.6, label="maneuver", rasterized=True
@@ -82,17 +82,17 @@ def _draw_returns(run: Path, pretraining_transitions: int, optimal_return: float
     axes.set_ylabel("return R [1]")
     _mark_optimum(axes, optimal_return)
     # The legend is below.
-    _mark_stage((axes,), pretraining_transitions, height=1.0)
+    mark_stage((axes,), pretraining_transitions, height=1.0)
     axes.legend(loc="lower right", markerscale=4.0)
-    _write_formats(figure, run / "figures" / "returns")
+    write_formats(figure, run / "figures" / "returns")
 
 
 def _draw_saved_models(
     run: Path, pretraining_transitions: int, optimal_return: float | None
 ) -> None:
-    models = _read(run / "evaluations.csv")
+    models = read_table(run / "evaluations.csv")
     title = "Mean return of each saved model over its completed maneuvers"
-    figure, (axes, shares) = _new_figure(title, 2, height_ratios=(2, 1))
+    figure, (axes, shares) = new_figure(title, 2, height_ratios=(2, 1))
     axes.plot(models["transitions"], models["mean_return"], "o-", color=BLUE, label="saved model")
     axes.set_ylabel("mean return [1]")
     _mark_optimum(axes, optimal_return)
@@ -105,40 +105,45 @@ def _draw_saved_models(
     shares.set_ylim(-5.0, 105.0)
     shares.set_ylabel("maneuvers [%]")
     shares.legend()
-    _mark_stage((axes, shares), pretraining_transitions)
-    _write_formats(figure, run / "figures" / "saved_models")
+    mark_stage((axes, shares), pretraining_transitions)
+    write_formats(figure, run / "figures" / "saved_models")
 
 
 @styled
 def draw_maneuver(
-    stem: Path, first: Maneuver, last: Maneuver, labels: tuple[str, str], scenario: Scenario
+    stem: Path,
+    first: Sequence[Maneuver],
+    last: Sequence[Maneuver],
+    labels: tuple[str, str],
+    scenario: Scenario,
 ) -> None:
     """Draw yaw acceleration and yaw rate of two models in the same maneuver (Figure 8).
 
     Args:
         stem: path of the figure without its ending; every one of FORMATS is written.
-        first: maneuver of the one model.
-        last: the same maneuver of the other model.
+        first: maneuver of the one model, once for each training that it was saved in.
+        last: the same maneuver of the other model, likewise.
         labels: names of both.
         scenario: scenario of the maneuver.
     """
     title = "The same maneuver with the first saved and the final model"
-    figure, panels = _new_figure(title, 2)
+    figure, panels = new_figure(title, 2)
     for axes, name, unit in zip(
         panels, ("yaw_acceleration", "yaw_rate"), ("rad/s²", "rad/s"), strict=True
     ):
-        for maneuver, label, color, look in (
+        for maneuvers, label, color, look in (
             (first, labels[0], RED, LINE_STYLES[1]),
             (last, labels[1], BLUE, LINE_STYLES[0]),
         ):
-            values = maneuver.trace[name]
-            time = np.arange(1, values.size + 1) * scenario.time_step
-            axes.plot(time, values, look, color=color, label=label)
+            for index, maneuver in enumerate(maneuvers):
+                values = maneuver.trace[name]
+                time = np.arange(1, values.size + 1) * scenario.time_step
+                axes.plot(time, values, look, color=color, label=label if index == 0 else None)
         axes.axhline(0.0, color=GREY, ls="-", lw=0.6)
         axes.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
     panels[0].legend()
     panels[1].set_xlabel("time since engagement [s]")
-    _write_formats(figure, stem)
+    write_formats(figure, stem)
 
 
 def check_figure(path: Path) -> None:
@@ -193,7 +198,7 @@ def draw_gaps(paths: Sequence[Path], result: Mapping[str, Any]) -> None:
         result: of ``compare_followers``.
     """
     title = f"Maneuver {result['maneuver']} of seed {result['seed']} on {result['scenario']}"
-    figure, panels = _new_figure(title, 2)
+    figure, panels = new_figure(title, 2)
     for label, found in result["followers"].items():
         shown = found["shown"]
         time = np.asarray(shown["time"])
@@ -212,7 +217,7 @@ def draw_gaps(paths: Sequence[Path], result: Mapping[str, Any]) -> None:
     write_figure(figure, *paths)
 
 
-def _read(path: Path) -> dict[str, NDArray[np.float64]]:
+def read_table(path: Path) -> dict[str, NDArray[np.float64]]:
     """The numeric columns of a table; empty cells are nan."""
     with path.open(newline="", encoding="utf-8") as file:
         header, *rows = list(csv.reader(file))
@@ -229,10 +234,16 @@ def _numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     return np.asarray([number(cell) for cell in cells], np.float64)
 
 
-def _new_figure(title: str, num_panels: int, **options: Any) -> tuple[Figure, Any]:
-    """A figure with panels above one another, which share the axis of x.
+def new_figure(title: str, num_panels: int, **options: Any) -> tuple[Figure, Any]:
+    """A figure with panels above one another, which share the axis of x, and its panels.
 
-    The title is that of the first. The axis of x counts transitions unless it gets another label.
+    Args:
+        title: of the first panel.
+        num_panels: number of panels.
+        **options: of ``Figure.subplots``.
+
+    Returns:
+        the figure, and its axes. The axis of x counts transitions unless it gets another label.
     """
     height = WIDTH * (0.35 + 0.3 * num_panels)
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
@@ -243,8 +254,14 @@ def _new_figure(title: str, num_panels: int, **options: Any) -> tuple[Figure, An
     return figure, panels
 
 
-def _mark_stage(panels: Sequence[Any], pretraining_transitions: int, height: float = 0.0) -> None:
-    """A dotted line at the end of stage one, with its name in the first panel, at that height."""
+def mark_stage(panels: Sequence[Any], pretraining_transitions: int, height: float = 0.0) -> None:
+    """A dotted line at the end of stage one, with its name in the first panel, at that height.
+
+    Args:
+        panels: axes whose x counts transitions.
+        pretraining_transitions: end of stage one, 0 for no line.
+        height: of the name, as a share of the panel's.
+    """
     if not pretraining_transitions:
         return
     for axes in panels:
@@ -265,5 +282,6 @@ def _mark_optimum(axes: Any, optimal_return: float | None) -> None:
         axes.axhline(optimal_return, color=RED, ls="--", label="optimum")
 
 
-def _write_formats(figure: Figure, stem: Path) -> None:
+def write_formats(figure: Figure, stem: Path) -> None:
+    """Write the figure in every one of FORMATS, to this path with an ending."""
     write_figure(figure, *(stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS))

@@ -28,6 +28,7 @@ class Program:
         max_yaw_acceleration: bound on the actions [rad/s^2].
         reward: its three weights (Eq. 10, Eq. 11, Eq. 12).
         slack: tolerance of every bound for rounding [m], [m/s], [rad/s], [rad/s^2].
+        gamma: discount factor of each step's cost.
     """
 
     free: FloatArray
@@ -36,6 +37,7 @@ class Program:
     max_yaw_acceleration: float
     reward: Reward
     slack: float = 1e-8
+    gamma: float = 1.0
 
     @property
     def size(self) -> int:
@@ -45,7 +47,7 @@ class Program:
     def solve(self, num_steps: int) -> tuple[float, FloatArray]:
         """Lowest cost of N steps and its actions (N,); infinite and empty without a solution.
 
-        Minimum of sum_k w_a |a_k| + w_w |turning_k| + w_d |deviation_k| / d_avg, with
+        Minimum of sum_k gamma^k (w_a |a_k| + w_w |turning_k| + w_d |deviation_k| / d_avg), with
         |a_k| <= a_max and the values after the last step within their bounds.
         """
         actions, is_within, cost = self._minimise(num_steps)
@@ -71,6 +73,7 @@ class Program:
         weights[:n] = self.reward.yaw_acceleration_weight
         weights[n : 2 * n] = self.reward.yaw_rate_weight
         weights[2 * n : 3 * n] = self.reward.deviation_weight / self.reward.average_deviation
+        weights[: 3 * n] *= np.tile(self.gamma ** np.arange(n), 3)
         bounds = np.full(3 * n + 1, np.inf)
         bounds[:n] = self.max_yaw_acceleration
         bounds[[2 * n - 1, 3 * n - 1, 3 * n]] = self.bounds[[YAW_RATE, DEVIATION, LATERAL_SPEED]]

@@ -228,6 +228,7 @@ class CascadeMu(_YawAcceleration):
     max_held_back = 0.2
     """[m]"""
     max_share_held_back = 0.3
+    has_threshold = True
 
     def __init__(
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
@@ -255,7 +256,7 @@ class CascadeMu(_YawAcceleration):
         held_back = torch.minimum(
             self.max_held_back / time.square(), self.max_share_held_back * lateral_limit
         )
-        highest = held_back / (speed.clamp(min=1.0) * lag)
+        highest = self.has_threshold * held_back / (speed.clamp(min=1.0) * lag)
         return CascadeGains(
             limit=self.limit(limit, self.limit_floor),
             time=time,
@@ -274,6 +275,12 @@ class CascadeMu(_YawAcceleration):
         speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
         gains = self.gains(speed, normalised)
         return steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, gains)
+
+
+class SmoothCascadeMu(CascadeMu):
+    """The cascade without its soft threshold, for comparison: it always steers a little."""
+
+    has_threshold = False
 
 
 def _logit(share: float) -> float:

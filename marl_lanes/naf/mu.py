@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_lanes.naf.lateral import CascadeMu, DampedMu, PaperMu
+from marl_lanes.naf.lateral import CascadeMu, DampedMu, PaperMu, SmoothCascadeMu
 from marl_lanes.naf.layers import ActionBox, Heads
 from marl_lanes.naf.structure import Mu
 
@@ -69,7 +69,12 @@ class CarFollowingMu(Mu):
 Make = Callable[[str, Sequence[str], ActionBox, Sequence[int]], Mu]
 """Name, features, box and hidden sizes to a structure."""
 
-LATERAL: dict[str, Make] = {"cascade": CascadeMu, "paper": PaperMu, "damped": DampedMu}
+LATERAL: dict[str, Make] = {
+    "cascade": CascadeMu,
+    "cascade-smooth": SmoothCascadeMu,
+    "paper": PaperMu,
+    "damped": DampedMu,
+}
 LONGITUDINAL: dict[str, Make] = {"idm": CarFollowingMu, "mlp": MLPMu}
 
 
@@ -126,8 +131,8 @@ def make_mu(name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Se
     """The structure of that name.
 
     Args:
-        name: "cascade", "paper" or "damped" for one action, each with "+idm" or "+mlp" for two,
-            "mlp" for any number.
+        name: "cascade", "cascade-smooth", "paper" or "damped" for one action, each with "+idm" or
+            "+mlp" for two, "mlp" for any number.
         features: names of the observation's columns.
         box: the admissible actions.
         hidden_sizes: widths of the hidden layers of each of its networks.

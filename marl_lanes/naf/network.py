@@ -44,8 +44,9 @@ class NAFNetwork(TensorDictModuleBase):
         features: names of the observation's columns.
         action_low: lower bounds of the action, (action_dim,), in action units.
         action_high: upper bounds of the action, (action_dim,).
-        mu: structure of mu. For one action: "cascade" (Eq. 7 with an inner yaw-rate loop), "paper"
-            (exactly Eq. 6 and Eq. 7) or "damped" (three placed poles). For two actions: one of
+        mu: structure of mu. For one action: "cascade" (Eq. 7 with an inner yaw-rate loop),
+            "cascade-smooth" (the same without a soft threshold), "paper" (exactly Eq. 6 and
+            Eq. 7) or "damped" (three placed poles). For two actions: one of
             these with "+idm" (car following and a correction) or "+mlp" for the second action.
             "mlp" for any number.
         hidden_sizes: widths of the hidden layers of every network.
@@ -53,6 +54,8 @@ class NAFNetwork(TensorDictModuleBase):
         scales: observation scales, one per feature, positive, in its unit; ones by default.
         action_costs: c, the weights of |a| in the reward, (action_dim,), per unit of the action,
             not negative; zeros by default.
+        off_diagonal: whether L has entries below its diagonal; without them M is diagonal, and no
+            action's part of Q depends on another action. For one action it makes no difference.
         observation_key: where observations are read, (..., len(features)).
         action_key: where actions are read, (..., action_dim).
         greedy_action_key: where the greedy action is written.
@@ -95,6 +98,7 @@ class NAFNetwork(TensorDictModuleBase):
         offsets: Sequence[float] | Tensor | None = None,
         scales: Sequence[float] | Tensor | None = None,
         action_costs: Sequence[float] | None = None,
+        off_diagonal: bool = True,
         observation_key: NestedKey = "observation",
         action_key: NestedKey = "action",
         greedy_action_key: NestedKey = "greedy_action",
@@ -120,9 +124,10 @@ class NAFNetwork(TensorDictModuleBase):
         self.has_action_costs = any(self.action_costs)
         self.normalise = Normaliser(self.features, offsets, scales)
         self.mu = make_mu(mu, self.features, self.box, self.hidden_sizes)
+        self.off_diagonal = off_diagonal
         actions = self.action_dim
-        off_diagonal = actions * (actions - 1) // 2
-        logits = [INITIAL_LOG_DIAGONAL] * actions + [0.0] * off_diagonal
+        num_ratios = actions * (actions - 1) // 2 if off_diagonal else 0
+        logits = [INITIAL_LOG_DIAGONAL] * actions + [0.0] * num_ratios
         self.factor_logits = Heads(len(self.features), self.hidden_sizes, [logits])
         self.value = Heads(len(self.features), self.hidden_sizes, [[0.0]])
 
@@ -143,6 +148,7 @@ class NAFNetwork(TensorDictModuleBase):
             "offsets": self.normalise.offset.tolist(),
             "scales": self.normalise.scale.tolist(),
             "action_costs": list(self.action_costs),
+            "off_diagonal": self.off_diagonal,
             "observation_key": self.observation_key,
             "action_key": self.action_key,
             "greedy_action_key": self.greedy_action_key,
@@ -257,6 +263,8 @@ class NAFNetwork(TensorDictModuleBase):
             return torch.exp(bound * torch.tanh(logits / bound))
         diagonal = torch.exp(bound * torch.tanh(logits[..., :actions] / bound))
         factor = torch.diag_embed(diagonal)
+        if not self.off_diagonal:
+            return factor
         rows, columns = torch.tril_indices(actions, actions, -1, device=logits.device)
         bound = OFF_DIAGONAL_BOUND
         ratios = bound * torch.tanh(logits[..., actions:] / bound)

@@ -31,7 +31,7 @@ def draw_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:
         run_maneuvers(scenario, greedy_policy(model.network), 1, seed=seed)[0] for model in loaded
     )
     labels = (_label(loaded[0]), _label(loaded[1]))
-    draw_maneuver(run.figures / "first_and_last", first, last, labels, scenario)
+    draw_maneuver(run.figures / "first_and_last", [first], [last], labels, scenario)
 
 
 def film_first_and_last(run: RunFolder, scenario: Scenario, seed: int) -> None:

@@ -37,6 +37,7 @@ def make_network(
     *,
     role: Role = CHANGER,
     knows_action_cost: bool = True,
+    off_diagonal: bool = True,
 ) -> NAFNetwork:
     """An untrained network for the features and action bounds of a role.
 
@@ -47,12 +48,15 @@ def make_network(
         role: of the agents.
         knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
             of the yaw acceleration in it; otherwise it is a plain parabola.
+        off_diagonal: whether M of two actions is a full matrix.
     """
     form = network_form(role, scenario)
     costs = [0.0] * len(form["action_low"])
     if knows_action_cost and mu.startswith("cascade"):
         costs[0] = scenario.reward.yaw_acceleration_weight
-    return NAFNetwork(**form, mu=mu, hidden_sizes=hidden_sizes, action_costs=costs)
+    return NAFNetwork(
+        **form, mu=mu, hidden_sizes=hidden_sizes, action_costs=costs, off_diagonal=off_diagonal
+    )
 
 
 def make_actor_network(

@@ -18,6 +18,7 @@ CONFIG_FILE = "config.yaml"
 EVALUATED = (
     "success_rate",
     "completion_rate",
+    "cost_ratio",
     "mean_episode_reward",
     "mean_return",
     "mean_num_steps",

@@ -511,8 +511,12 @@ def test_a_training_starts_from_demonstrations(program, tmp_path, monkeypatch):
         ),
         (make_network(PAPER, "damped", [8]), r"network\.mu = 'cascade': must be 'damped'.*i\.pt"),
         (make_network(PAPER, "cascade", [9]), r"network\.hidden_sizes = \[8\]: must be \[9\]"),
+        (
+            make_network(PAPER, "cascade", [8], off_diagonal=False),
+            r"network\.off_diagonal = True: must be False",
+        ),
     ],
-    ids=["none", "follower", "mu", "widths"],
+    ids=["none", "follower", "mu", "widths", "off_diagonal"],
 )
 def test_an_initial_checkpoint_that_does_not_fit(program, tmp_path, monkeypatch, network, message):
     monkeypatch.chdir(prepare(tmp_path))

@@ -108,7 +108,7 @@ def test_the_pictures_of_a_run(tmp_path, drawn):
 def test_every_axis_has_a_unit(tmp_path, drawn):
     draw_training(make_run(tmp_path), 17, -2.25)
     scenario = load_scenario("paper")
-    draw_maneuver(tmp_path / "both", maneuver(5, 0.25), maneuver(3, 0.5), ("a", "b"), scenario)
+    draw_maneuver(tmp_path / "both", [maneuver(5, 0.25)], [maneuver(3, 0.5)], ("a", "b"), scenario)
     draw_gaps([tmp_path / "gaps.png"], gaps_result())
     assert len(drawn) == 9
     for name, figure in drawn.items():
@@ -158,10 +158,13 @@ def maneuver(count, rate):
 def test_two_models_on_one_maneuver(tmp_path, drawn, count):
     scenario = load_scenario("paper", {"time_step": 0.2})
     stem = tmp_path / "deep" / "both"
-    draw_maneuver(stem, maneuver(count, 0.25), maneuver(3, -0.5), ("early", "late"), scenario)
+    first, last = [maneuver(count, 0.25), maneuver(2, 0.125)], [maneuver(3, -0.5)]
+    draw_maneuver(stem, first, last, ("early", "late"), scenario)
     check_files(stem.parent, ["both"])
     figure = drawn["both.png"]
     early, late = (lines(figure, panel=1)[name] for name in ("early", "late"))
+    drawn_rates = [line.get_ydata() for line in figure.axes[1].get_lines()]
+    assert [0.125, 0.125] in [list(values) for values in drawn_rates]
     assert early.get_ydata().tolist() == [0.25] * count
     assert late.get_ydata().tolist() == [-0.5] * 3
     assert late.get_xdata() == pytest.approx([0.2, 0.4, 0.6])

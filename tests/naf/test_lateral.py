@@ -204,6 +204,9 @@ def test_cascade_and_damped_mu_settle_and_the_papers_does_not():
     # Within the threshold the action is 0.
     assert max(map(abs, settled[150:])) < 0.2
     assert min(settled) > -0.5
+    # Without a threshold it steers on, to the centre.
+    smooth = lane_change(make_network("cascade-smooth"))
+    assert max(map(abs, smooth[150:])) < 0.01 < max(map(abs, settled[150:]))
     paper = lane_change(make_network("paper"), deviation=0.1)
     assert min(paper[:100]) < 0  # it reaches the centre of the lane
     assert max(map(abs, paper[-100:])) > 1.0  # and oscillates ever more widely about it

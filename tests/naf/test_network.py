@@ -124,13 +124,13 @@ def test_maximum_over_a_box_of_two_actions():
     torch.testing.assert_close(at_greedy["state_action_value"], data["state_value"])
 
 
-@pytest.mark.parametrize("mu", ["cascade", "damped", "mlp"])
+@pytest.mark.parametrize("mu", ["cascade", "cascade-smooth", "damped", "mlp"])
 def test_the_known_cost_of_an_action_bends_q_and_leaves_its_maximum(mu):
     """Q = V - m (a - mu)^2 - c (|a| - |mu| - g (a - mu)), g a slope of |a| at mu."""
     plain, knowing = stir(make_network(mu)), make_network(mu, action_costs=[2.0])
     knowing.load_state_dict(plain.state_dict())
     observation = make_observation(40)
-    if mu == "cascade":  # near the centre and straight: within its threshold
+    if mu.startswith("cascade"):  # near the centre and straight: within cascade's threshold
         observation[:20, 2:5] *= 0.01
         observation[:20, 5] = 0.0
     action = torch.linspace(-0.5, 0.5, 101)[:, None, None].expand(101, 40, 1)
@@ -306,7 +306,10 @@ def test_a_missing_column_is_named(name):
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"mu": "linear"}, "unknown mu 'linear', allowed: cascade, paper, damped, .*mlp"),
+        (
+            {"mu": "linear"},
+            "unknown mu 'linear', allowed: cascade, cascade-smooth, paper, damped, .*mlp",
+        ),
         (
             {"mu": "paper", "actions": 2},
             "'paper' gives one action.*box has 2; allowed: cascade.idm, .*mlp",

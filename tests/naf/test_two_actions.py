@@ -53,6 +53,20 @@ def test_the_coupling_of_both_actions_has_a_gradient():
     assert (diagonal.abs() > 1e-3).all()
 
 
+def test_a_diagonal_m_couples_nothing():
+    network = stir(make_network(off_diagonal=False))
+    assert network.factor_logits.last_bias.numel() == 2
+    observation = make_observation(9)
+    factor = network.cholesky(observation)
+    assert torch.equal(factor, torch.diag_embed(factor.diagonal(dim1=-2, dim2=-1)))
+    greedy = call(network, observation)["greedy_action"]
+    step = torch.tensor([[0.3, 0.0], [0.0, 0.3], [0.3, 0.3]]) * torch.tensor(HALF_RANGE).float()
+    at_mu = network.max_value(observation)
+    losses = [at_mu - network.action_value(observation, greedy + one) for one in step]
+    torch.testing.assert_close(losses[0] + losses[1], losses[2])
+    assert NAFNetwork(**network.config).off_diagonal is False
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_the_coupling_of_both_actions_is_learned(sign):

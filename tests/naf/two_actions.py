@@ -6,7 +6,7 @@ import torch
 from naf.paper_networks import OFFSETS, SCALES
 
 from marl_lanes.naf import NAFNetwork
-from marl_lanes.naf.lateral import CascadeMu, DampedMu, PaperMu
+from marl_lanes.naf.lateral import CascadeMu, DampedMu, PaperMu, SmoothCascadeMu
 from marl_lanes.naf.mu import CarFollowingMu, MLPMu
 
 FEATURES = [
@@ -19,7 +19,12 @@ FEATURES = [
 ]
 LOW, HIGH = [-0.5, -3.0], [0.5, 2.0]
 HALF_RANGE = np.array([0.5, 2.5])
-LATERAL = {"cascade": CascadeMu, "paper": PaperMu, "damped": DampedMu}
+LATERAL = {
+    "cascade": CascadeMu,
+    "cascade-smooth": SmoothCascadeMu,
+    "paper": PaperMu,
+    "damped": DampedMu,
+}
 LONGITUDINAL = {"idm": CarFollowingMu, "mlp": MLPMu}
 COMPOSED = [f"{first}+{second}" for first in LATERAL for second in LONGITUDINAL]
 

@@ -82,12 +82,15 @@ class NetworkConfig(Section):
     """Form of the changers' NAF network."""
 
     mu: str = Field(
-        description="cascade, paper, damped or mlp; with two actions the first three with +idm or "
-        "+mlp, or mlp"
+        description="cascade, cascade-smooth, paper, damped or mlp; with two actions one of the "
+        "first four with +idm or +mlp, or mlp"
     )
     knows_action_cost: bool = Field(
         description="whether Q has the reward's own cost of the yaw acceleration in it; with mu "
         "cascade alone"
+    )
+    off_diagonal: bool = Field(
+        description="whether M of two actions is a full matrix; otherwise it is diagonal"
     )
     hidden_sizes: Widths = Field(description="widths of the hidden layers of every network")
 

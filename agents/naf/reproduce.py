@@ -1,0 +1,255 @@
+"""The paper's experiment with the paper's numbers: its figures, and a table beside its statements.
+
+python agents/naf/reproduce.py [--output runs/reproduction] [--seeds 0 1 2]
+    [--scenarios touch paper] [--processes N] [--quick] [--figures FOLDER] [--docs FILE]
+
+Trains recipe=paper for every scenario and seed, and the first of them with gamma 0.99 as well. The
+same command goes on after an interruption. --quick has the same form on a budget of seconds: it
+shows that everything works, and its numbers mean nothing.
+"""
+
+import argparse
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from marl_lanes.evaluation.figures import draw_maneuver
+from marl_lanes.evaluation.linear_program import Program
+from marl_lanes.evaluation.metrics import evaluate
+from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE, Replay
+from marl_lanes.evaluation.rollout import run_maneuvers
+from marl_lanes.evaluation.seeds import draw_losses, draw_models, draw_returns
+from marl_lanes.files import replacing, write_json, write_text
+from marl_lanes.naf.lateral import PaperMu
+from marl_lanes.report.documents import check_document, format_table, insert_tables
+from marl_lanes.report.statements import (
+    FINAL,
+    PAPERS_STAGE_ONE,
+    drive_saved_models,
+    measure_run,
+    read_config,
+    tabulate_statements,
+)
+from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.studies import Run, carry_out
+from marl_lanes.terminal import lenient_streams
+from marl_lanes.traffic.parameters import make_parameters
+from marl_lanes.training.command_line import Parser, refusing
+from marl_lanes.training.failures import ending
+
+PROGRAM = "agents/naf/train.py"
+# With so few steps a batch has about 20 updates: the loss has a row for about every 20.
+ARGUMENTS = (
+    "recipe=paper",
+    "num_threads=1",
+    "collector.steps_per_batch=5",
+    "evaluation.record=false",
+)
+QUICK = (
+    "network.hidden_sizes=[8]",
+    "collector.total_transitions=400",
+    "optimizer.pretraining_transitions=200",
+    "exploration.annealing_transitions=400",
+    "evaluation.save_interval=200",
+    "evaluation.num_maneuvers=2",
+    "evaluation.final_num_maneuvers=2",
+)
+OTHER_GAMMA = 0.99
+"""Of one more training."""
+GAMMAS = (0.95, OTHER_GAMMA, 0.998)
+SPEEDS = (16.0, 20.0, 24.0, 28.0)
+"""[m/s] Of the changes whose discounted cost is shown."""
+LONGEST = 120
+"""[steps] Of these changes."""
+TIMES = (2.0, 2.4, 2.8, 3.4)
+"""[s] T of Eq. 7. The paper does not give it; 3.4 s is where the training starts here."""
+TABLES = ("statements", "discounts", "gammas", "maneuvers")
+
+Rows = list[dict[str, Any]]
+FloatArray = NDArray[np.float64]
+
+
+@lenient_streams()
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train, measure, draw, write."""
+    options = parse(arguments)
+    torch.set_num_threads(1)
+    with ending(options.output):
+        with refusing():
+            scenarios = {name: load_scenario(name) for name in options.scenarios}
+            if options.docs is not None:
+                check_document(options.docs, TABLES)
+            runs = plan(options)
+            is_whole = carry_out(runs, options.output, num_processes=options.processes)
+        if is_whole:
+            report(options, scenarios)
+        else:
+            print("interrupted; the same command goes on")
+
+
+def plan(options: argparse.Namespace) -> list[Run]:
+    """The trainings, that with another gamma last."""
+    given = (*ARGUMENTS, *(QUICK if options.quick else ()))
+    runs = [
+        Run(f"{scenario}_{seed}", PROGRAM, (*given, f"scenario={scenario}", f"seed={seed}"))
+        for scenario in options.scenarios
+        for seed in options.seeds
+    ]
+    name, program, first = runs[0]
+    return [*runs, Run(f"{name}_gamma", program, (*first, f"loss.gamma={OTHER_GAMMA}"))]
+
+
+def report(options: argparse.Namespace, scenarios: Mapping[str, Scenario]) -> None:
+    """Measure the finished runs; write numbers, tables and figures."""
+    output: Path = options.output
+    figures: Path = options.figures or output / "figures"
+    folders = {name: [output / f"{name}_{seed}" for seed in options.seeds] for name in scenarios}
+    rows: Rows = []
+    for name, paths in folders.items():
+        driven = [drive_saved_models(path, scenarios[name]) for path in paths]
+        for path, models in zip(paths, driven, strict=True):
+            rows.append(measure_run(path, models, scenarios[name]))
+        first, last = ([models[index][0] for models in driven] for index in (0, 1))
+        stem = figures / f"reproduction_maneuver_{scenarios[name].name}"
+        draw_maneuver(stem, first, last, label_models(paths[0]), scenarios[name])
+    name, seed = options.scenarios[0], options.seeds[0]
+    path = output / f"{name}_{seed}_gamma"
+    models = drive_saved_models(path, scenarios[name])
+    other = measure_run(path, models, scenarios[name])
+    stage_one = read_config(path)["optimizer"]["pretraining_transitions"]
+    for title, draw in (("loss", draw_losses), ("returns", draw_returns), ("models", draw_models)):
+        draw(figures / f"reproduction_{title}", folders, stage_one)
+    discounts = [row for key, one in scenarios.items() for row in weigh_discounts(key, one)]
+    counts = count_by_time(scenarios[name], len(models[0]))
+    tables = {
+        "statements": tabulate_statements(rows),
+        "discounts": format_table(discounts),
+        "gammas": format_table(
+            [{key: one[key] for key in ("gamma", *FINAL)} for one in (rows[0], other)]
+        ),
+        "maneuvers": format_table(counts),
+    }
+    rows.append(other)
+    with replacing(output / "results.csv") as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    results = {"runs": rows, "discounts": discounts, "maneuvers": counts}
+    write_json(output / "results.json", results)
+    write_text(output / "results.md", "\n".join(tables.values()))
+    if options.docs is not None:
+        insert_tables(options.docs, tables)
+    print(tables["statements"])
+
+
+def label_models(folder: Path) -> tuple[str, str]:
+    """What the first and the last saved model of a run are called."""
+    config = read_config(folder)
+    counts = config["evaluation"]["save_interval"], config["collector"]["total_transitions"]
+    return f"{counts[0]:,} transitions", f"{counts[1]:,} transitions"
+
+
+def weigh_discounts(name: str, scenario: Scenario) -> Rows:
+    """The discounted cost of never changing lanes, and of the cheapest change.
+
+    Means over SPEEDS, each constant; the motion is linear in the actions, with sin psi = psi.
+    """
+    size = LONGEST
+    rows = []
+    for gamma in GAMMAS:
+        found = []
+        for speed in SPEEDS:
+            program = make_program(scenario, speed, gamma)
+            costs = [program.solve(count)[0] for count in range(1, size + 1)]
+            best = int(np.argmin(costs))
+            peak = np.abs(program.solve(best + 1)[1]).max()
+            found.append((costs[best], best + 1, peak))
+        cost, steps, peak = np.mean(found, axis=0).tolist()
+        deviation = scenario.road.lane_width / scenario.reward.average_deviation
+        never = scenario.reward.deviation_weight * deviation / (1.0 - gamma)
+        rows.append(
+            {
+                "scenario": name,
+                "gamma": gamma,
+                "cost of never changing": never,
+                "cost of the cheapest change": cost,
+                "saved by changing [%]": 100.0 * (1.0 - cost / never),
+                "its steps": steps,
+                "its peak yaw acceleration [rad/s²]": peak,
+            }
+        )
+    return rows
+
+
+def make_program(scenario: Scenario, speed: float, gamma: float) -> Program:
+    """The linear programs of a change of one lane at a constant speed."""
+    replay = Replay(
+        make_parameters(scenario),
+        np.full(LONGEST, speed),
+        initial_speed=speed,
+        position=0.0,
+        lateral_position=0.0,
+        yaw=0.0,
+        yaw_rate=0.0,
+        direction=1,
+        deviation=scenario.road.lane_width,
+    )
+    replay.follow(np.zeros(LONGEST))
+    free, response = replay.linearise(LONGEST)
+    bounds = np.full(3, np.inf)
+    completion = scenario.completion
+    bounds[DEVIATION] = completion.max_deviation
+    bounds[LATERAL_SPEED] = completion.max_lateral_speed or np.inf
+    bounds[YAW_RATE] = completion.max_yaw_rate or np.inf
+    bound = scenario.action.max_yaw_acceleration
+    return Program(free, response, bounds, bound, scenario.reward, gamma)
+
+
+def count_by_time(scenario: Scenario, num_maneuvers: int) -> Rows:
+    """How many maneuvers 200,000 steps have when mu is Eq. 6 and 7 with constants, by T."""
+    features: list[str] = list(scenario.observation.features)
+    columns = [features.index(name) for name in PaperMu.needs]
+    rows = []
+    for time in TIMES:
+
+        def steer(observations: NDArray[np.float32], time: float = time) -> FloatArray:
+            speed, deviation, yaw = observations[:, columns].T.astype(np.float64)
+            wanted = (deviation / time - speed * yaw) / time
+            action = PaperMu.initial_a_max * np.tanh(PaperMu.initial_sensitivity * wanted)
+            return np.asarray(action[:, np.newaxis])
+
+        maneuvers = run_maneuvers(scenario, steer, num_maneuvers)
+        steps = float(np.mean([len(one.trace) for one in maneuvers]))
+        found = evaluate(maneuvers, scenario, with_optimum=False)
+        rows.append(
+            {
+                "T [s]": time,
+                "steps a maneuver": steps,
+                "maneuvers in 200,000 steps": round(PAPERS_STAGE_ONE / steps),
+                "completed [%]": 100.0 * found["completion_rate"],
+                "success [%]": 100.0 * found["success_rate"],
+            }
+        )
+    return rows
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """The command line."""
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, default=Path("runs/reproduction"), help="folder")
+    parser.add_argument("--scenarios", nargs="+", default=["touch", "paper"], metavar="NAME")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], metavar="N")
+    parser.add_argument("--processes", type=int, default=1, help="trainings at a time (default: 1)")
+    parser.add_argument("--quick", action="store_true", help="a budget of seconds")
+    parser.add_argument("--figures", type=Path, help="their folder (default: OUTPUT/figures)")
+    parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into it, too")
+    return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    main()
