@@ -50,6 +50,8 @@ ONE_ACTION = (
     *SHORT,
     "collector.num_envs=128",
     "optimizer.transitions_per_update=30",
+    "demonstrations.num_transitions=0",
+    "evaluation.criterion=null",
 )
 TWO_ACTIONS = ("recipe=interactive", *SHORT, "collector.num_envs=256")
 QUICK = (
@@ -75,7 +77,14 @@ class Variant(NamedTuple):
 
 
 VARIANTS = {
-    "base": Variant("**base**: mu cascade, gamma 0.998, noise 0.05 to 0.005, 0.1 rare", ONE_ACTION),
+    "base": Variant(
+        "**base**: recipe fast without demonstrations: mu cascade, gamma 0.998, targets over 8 "
+        "steps, noise 0.05 to 0.005 on 0.1 of the actions, 0.1 rare",
+        ONE_ACTION,
+    ),
+    "demonstrations": Variant(
+        "20,000 demonstrations", ONE_ACTION, ("demonstrations.num_transitions=20_000",)
+    ),
     "mu_paper": Variant("mu paper", ONE_ACTION, ("network.mu=paper",)),
     "mu_damped": Variant("mu damped", ONE_ACTION, ("network.mu=damped",)),
     "mu_mlp": Variant("mu mlp", ONE_ACTION, ("network.mu=mlp",)),
@@ -85,6 +94,13 @@ VARIANTS = {
     ),
     "plain_q": Variant(
         "Q without the action's own cost", ONE_ACTION, ("network.knows_action_cost=false",)
+    ),
+    "one_step": Variant("targets over one step", ONE_ACTION, ("loss.num_steps=1",)),
+    "always_noisy": Variant("noise on every action", ONE_ACTION, ("exploration.probability=1.0",)),
+    "fast_mu": Variant(
+        "mu's step size 0.0005 instead of 0.00002",
+        ONE_ACTION,
+        ("optimizer.mu_learning_rate=0.0005",),
     ),
     "gamma_95": Variant("gamma 0.95", ONE_ACTION, ("loss.gamma=0.95",)),
     "gamma_99": Variant("gamma 0.99", ONE_ACTION, ("loss.gamma=0.99",)),
