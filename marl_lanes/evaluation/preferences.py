@@ -171,7 +171,7 @@ def fit_weights(features: FloatArray, candidates: FloatArray) -> FloatArray:
 
     found = minimize(loss, np.ones(3), jac=True, bounds=[(0.0, None)] * 3, method="L-BFGS-B")
     weights = found.x / spread
-    return np.clip(weights / max(weights[0], _LEAST), LOWEST, HIGHEST)
+    return np.asarray(np.clip(weights / max(weights[0], _LEAST), LOWEST, HIGHEST))
 
 
 def learn_weights(
