@@ -4,8 +4,8 @@ python agents/adversary/league.py changer=CHECKPOINT [scenario=NAME] [generation
     [followers=[NAME,...]] [held_out=[NAME,...]] [seed=N] [output=DIR] [resume=RUN]
     [any field of the config]
 
-In each generation an untrained follower learns against the changers of the pool, then the newest
-changer learns on among the followers of the pool. Whom the learner loses to, it meets more often.
+In each generation an untrained follower learns against the changers of the pool, then a changer
+among the followers of the pool. Whom the learner loses to, it meets more often.
 At the end all are rated from their matches.
 """
 
@@ -82,6 +82,11 @@ class LeagueConfig(InterplayConfig):
         ge=0.0,
         le=100.0,
         description="the larger, the more a learner meets those that it loses to; 0: all alike",
+    )
+    continues: bool = Field(
+        strict=True,
+        description="whether a new changer goes on from the newest one; false: it begins "
+        "untrained, with the same structure",
     )
     hardening: ChangerConfig
 
@@ -171,16 +176,21 @@ class League:
         return True
 
     def _add_changer(self, generation: int) -> bool:
-        """The newest changer trained on among the frozen followers; False when interrupted."""
+        """A changer that learns among the frozen followers; False when interrupted."""
         newest = list(self.changers)[-1]
         won = [self.matches.shares(newest, follower)[0] for follower in self.followers]
         shares = prioritise(won, self.config.exponent).tolist()
         mix = dict(zip(self.followers, shares, strict=True))
         path = self.grounds.first_changer if newest == FIRST else self._pooled(newest)
+
+        def begin() -> NAFNetwork:
+            network = load_checkpoint(path, self.grounds.scenario).network
+            return network if self.config.continues else NAFNetwork(**network.config)
+
         phase = changer_phase(
             self.grounds,
             self.config.hardening,
-            lambda: load_checkpoint(path, self.grounds.scenario).network,
+            begin,
             mix,
             self.policies,
             number=2 * generation - 1,

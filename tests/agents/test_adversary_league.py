@@ -146,6 +146,21 @@ def test_each_learns_and_the_changer_goes_on_from_the_one_before(league):
     assert not is_same(weights(saved["follower_1"][0]), weights(saved["follower_2"][0]))
 
 
+@pytest.mark.parametrize("continues", [True, False])
+def test_a_new_changer_goes_on_or_begins_untrained(program, tmp_path, monkeypatch, continues):
+    monkeypatch.chdir(prepare(tmp_path))
+    begun = []
+    monkeypatch.setattr(program, "changer_phase", lambda *given, **_: begun.append(given[2]()))
+    monkeypatch.setattr(program.League, "_train", lambda *_: False)
+    monkeypatch.setattr(program.Matches, "shares", lambda *_: (0.5, 0.5, 0.0))
+    league = program.League(program.read(replaced([*SMALL, f"continues={continues}"])))
+    league._add_changer(1)
+    (network,) = begun
+    first = load_checkpoint(tmp_path / "changer.pt", PAPER).network
+    assert network.config == first.config
+    assert is_same(network.state_dict(), first.state_dict()) == continues
+
+
 def test_an_interruption_changes_nothing(program, league, tmp_path):
     """The same again without one, in the generation that was interrupted."""
     run, _ = league
@@ -189,6 +204,7 @@ def test_damaged_matches_are_refused(program, league, tmp_path, monkeypatch):
     ("options", "message"),
     [
         (["generations=0"], "generations = 0: must be greater than or equal to 1"),
+        (["continues=maybe"], "continues = 'maybe': must be"),
         (["exponent=-1"], "exponent = -1: must be greater than or equal to 0"),
         (["followers=[]"], r"followers = \[\]: must have"),
         (["followers=[nobody]"], "followers.mix: 'nobody' has no policy; allowed: cooperative"),
