@@ -45,9 +45,6 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
 }
 """By algorithm, the program that trains with it and its first arguments."""
 
-NUM_SAVED = 10
-"""Models that each training saves, besides the final one."""
-
 NUM_GLANCES = 10
 """Maneuvers for each of them in the training itself."""
 
@@ -66,7 +63,13 @@ BATCHES = (1, 64)
 TIMED = 0.05
 """[s] In which decisions are timed together; the fastest of five times counts."""
 
-QUICK = {"transitions": 400, "seconds": 0.1, "maneuvers": 4, "saved_maneuvers": 2}
+QUICK = {
+    "saved_models": 1,
+    "transitions": 400,
+    "seconds": 0.1,
+    "maneuvers": 4,
+    "saved_maneuvers": 2,
+}
 QUICK_FIELDS = (
     "network.hidden_sizes=[8]",
     "collector.num_envs=16",
@@ -144,6 +147,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--maneuvers", type=int, default=1000, help="for each final model or policy"
     )
+    parser.add_argument("--saved-models", type=int, default=10, help="that each training saves")
     parser.add_argument("--saved-maneuvers", type=int, default=200, help="for each saved model")
     parser.add_argument("--processes", type=int, default=1, help="trainings at a time")
     parser.add_argument("--docs", type=Path, help="a Markdown file whose table is replaced")
@@ -153,7 +157,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         vars(options).update(QUICK)
     if not options.algorithms and not options.policies:
         parser.error("--algorithms, --policies: must name something to compare")
-    for name in ("transitions", "seconds", "maneuvers", "saved_maneuvers"):
+    for name in ("transitions", "seconds", "maneuvers", "saved_models", "saved_maneuvers"):
         if not getattr(options, name) > 0:
             field = name.replace("_", "-")
             parser.error(f"--{field} = {shown(getattr(options, name))}: must be above 0")
@@ -195,7 +199,7 @@ def plan(
         "scenario": options.scenario,
         "seed": seed,
         "collector.total_transitions": transitions,
-        "evaluation.save_interval": ceil(transitions / NUM_SAVED),
+        "evaluation.save_interval": ceil(transitions / options.saved_models),
         # What is compared is measured here.
         "evaluation.num_maneuvers": NUM_GLANCES,
         "evaluation.final_num_maneuvers": NUM_GLANCES,

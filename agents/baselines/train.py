@@ -21,7 +21,7 @@ from marl_lanes.terminal import lenient_streams
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.ddpg import DDPG, DDPGConfig
-from marl_lanes.training.algorithms.ppo import PPO, PPOConfig
+from marl_lanes.training.algorithms.ppo import PPO, STATE_SCALES, PPOConfig
 from marl_lanes.training.algorithms.sac import SAC, SACConfig
 from marl_lanes.training.algorithms.td3 import TD3, TD3Config
 from marl_lanes.training.checkpoint import make_actor_network
@@ -100,7 +100,10 @@ def make(
 ) -> Algorithm:
     """The algorithm with an untrained actor."""
     widths = config.network.hidden_sizes
-    check_networks(config, "network.hidden_sizes", widths, len(scenario.observation.features))
+    num_inputs = len(scenario.observation.features)
+    if env.has_state:
+        num_inputs += env.scenario.max_vehicles * len(STATE_SCALES)
+    check_networks(config, "network.hidden_sizes", widths, num_inputs)
     network: ActorNetwork = make_actor_network(scenario, widths)
     return algorithm(config, env, network, device=device, acting_device=acting_device)
 

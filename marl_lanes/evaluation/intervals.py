@@ -115,8 +115,8 @@ def estimate_over_seeds(
 
     A resample draws as many trainings as there are, with replacement, and of each drawn one whole
     groups: maneuvers of one training share its policy, those of one road its traffic. Of one
-    training only the groups are drawn. A rate of 0 or 1 has the exact interval, as in
-    ``estimate_mean``. Values that are not finite are left out.
+    training only the groups are drawn; a single group has no interval. A rate of 0 or 1 has the
+    exact interval, as in ``estimate_mean``. Values that are not finite are left out.
 
     Args:
         seeds: of each training the numerators (N,), the denominators (N,), ones for a mean, and
@@ -140,6 +140,8 @@ def estimate_over_seeds(
     if is_rate and value in {0.0, 1.0}:
         exact = stats.binomtest(round(total[0]), round(total[1])).proportion_ci(confidence)
         return Estimate(value, float(exact.low), float(exact.high))
+    if sum(part.shape[1] for part in parts) < 2:
+        return Estimate(value, None, None)
     generator = np.random.default_rng(seed)
     drawn = np.zeros((2, NUM_RESAMPLES))
     for chosen in generator.integers(len(parts), size=(len(parts), NUM_RESAMPLES)):

@@ -185,6 +185,7 @@ def test_over_trainings_roads_are_drawn_whole_and_undefined_values_left_out():
     assert estimate_over_seeds([of_seed([1.0, 3.0, np.nan], [0, 1, 2])]).value == 2.0
     ratio = [([-6.0, -3.0, -1.0], [-4.0, -2.0, np.nan], [0, 1, 2])] * 2
     assert estimate_over_seeds(ratio) == Estimate(1.5, 1.5, 1.5)
+    assert estimate_over_seeds([of_seed([1.0, 2.0], [4, 4])]) == Estimate(1.5, None, None)
     nothing = Estimate(None, None, None)
     assert estimate_over_seeds([of_seed([None], [0])]) == estimate_over_seeds([]) == nothing
 

@@ -4,6 +4,7 @@ import psutil
 import pytest
 import torch
 from configs import typed
+from learners import baseline
 
 from marl_lanes import LaneChangeEnv, load_scenario
 from marl_lanes.training.collected import load_collected
@@ -74,3 +75,32 @@ def test_the_estimates_are_of_the_right_size(monkeypatch):
     each = step.bytes() / 3
     assert each < asked["collector.steps_per_batch"] / 256 < 4 * each
     assert torch.get_default_dtype() == torch.float32
+
+
+def test_the_batch_of_epochs_is_named_where_there_is_no_replay_buffer():
+    learner = baseline("ippo")
+    learner.collector.shutdown()
+    config = learner.config
+    check_sizes(config, PAPER, PAPER)
+    epochs = config.epochs.model_copy(update={"batch_size": 10**12})
+    large = config.model_copy(update={"epochs": epochs})
+    with pytest.raises(ValueError, match=r"^epochs.batch_size = 1000000000000: needs about"):
+        check_sizes(large, PAPER, PAPER)
+    with pytest.raises(ValueError, match=r"^epochs.batch_size = 1000000000000: needs about"):
+        check_networks(large, "network.hidden_sizes", [8], 6)
+
+
+def test_the_state_of_the_roads_counts(monkeypatch):
+    asked = {}
+    name = "marl_lanes.training.sizes.check_memory"
+    monkeypatch.setattr(name, lambda name, value, needed: asked.update({name: needed / value}))
+    config = typed()
+    check_sizes(config, PAPER, PAPER, has_state=True)
+    env = LaneChangeEnv(PAPER, 3, seed=0, has_state=True)
+    # Before a step and after it, and as much for each agent that may act.
+    step = env.fake_tensordict()
+    state = 2.0 * step["state"].nbytes / 3
+    whole = asked["collector.steps_per_batch"] / config.collector.num_envs
+    check_sizes(config, PAPER, PAPER)
+    plain = asked["collector.steps_per_batch"] / config.collector.num_envs
+    assert whole - plain == 2.0 * state * (1 + PAPER.num_slots)

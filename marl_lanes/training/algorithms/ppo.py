@@ -34,11 +34,11 @@ from marl_lanes.training.config import Magnitude, OnPolicyConfig
 from marl_lanes.training.experience import Epochs
 from marl_lanes.training.transitions import CPU, live_transitions, send
 
-STATE_SCALES = (50.0, 3.75, 5.0, 2.0, 0.03, 0.03)
-"""In the units of STATE_COLUMNS without the last: what the critic sees as 1."""
+STATE_SCALES = (500.0, 10.0, 20.0, 10.0, 0.3, 0.3)
+"""In the units of STATE_COLUMNS without the last: what the critic sees as 1.
 
-STATE_BOUND = 10.0
-"""[1] The critic sees no more than this."""
+They are large: it sees hundreds of numbers of other vehicles, most of which do not matter.
+"""
 
 
 class PPOLossConfig(Section):
@@ -229,6 +229,6 @@ def take_surroundings(states: Tensor, acting: Tensor) -> Tensor:
     own[..., STATE_COLUMNS.index("acceleration") :] = 0.0
     seen = (numbers - own) / numbers.new_tensor(STATE_SCALES)
     distance = seen[..., 0].abs().where(is_there, torch.inf)
-    seen = seen.clamp(-STATE_BOUND, STATE_BOUND) * is_there.unsqueeze(-1)
+    seen = seen * is_there.unsqueeze(-1)
     order = distance.argsort(dim=-1, stable=True).unsqueeze(-1)
     return seen.take_along_dim(order, dim=-2).flatten(-2)

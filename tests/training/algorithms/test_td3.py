@@ -70,6 +70,9 @@ def test_the_loss_is_that_of_the_source(learner):
     assert following["terminated"].any()
 
 
+@pytest.mark.parametrize(
+    "learner", [["loss.target_noise=0.2", "loss.target_noise_bound=0.5"]], indirect=True
+)
 def test_the_targets_noise_is_a_share_of_each_half_range_and_stays_in_the_box(learner, monkeypatch):
     algorithm = learner.algorithm
     box = algorithm.network.box
@@ -138,8 +141,8 @@ def test_step_sizes_and_noise_fall(learner):
     for count, share in ((0, 1.0), (150, 0.75), (300, 0.5), (900, 0.5)):
         algorithm.anneal(count)
         found = [group["lr"] for group in algorithm.optimizer.param_groups]
-        assert found == pytest.approx([0.001 * share] * 2)
-    assert algorithm.schedules()["sigma"] == pytest.approx(0.1)
+        assert found == pytest.approx([rate * share for rate in algorithm.rates])
+    assert algorithm.schedules()["sigma"] == pytest.approx(algorithm.config.exploration.final_sigma)
 
 
 @pytest.mark.training
