@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -24,11 +25,15 @@ def test_its_quick_form(program, tmp_path, monkeypatch):
     trained = []
 
     def carry_out(runs, folder, *, num_processes):
-        """In this process; tests/test_studies.py has the processes."""
-        for run in runs:
-            trained.append(run.name)
-            train = load_program(FOLDER.parents[1] / run.program)
-            run_main(train, tmp_path, *run.arguments, f"output={folder / run.name}")
+        """In this process; tests/test_studies.py has the processes. The second is the first."""
+        trained.extend(run.name for run in runs)
+        first, second = (folder / run.name for run in runs)
+        train = load_program(FOLDER.parents[1] / runs[0].program)
+        run_main(train, tmp_path, *runs[0].arguments, f"output={first}")
+        shutil.copytree(first, second)
+        config = (first / "config.yaml").read_text(encoding="utf-8")
+        other = config.replace("gamma: 0.95", "gamma: 0.99")
+        (second / "config.yaml").write_text(other, encoding="utf-8")
         return num_processes == 1
 
     monkeypatch.setattr(program, "carry_out", carry_out)
