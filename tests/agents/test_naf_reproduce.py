@@ -85,6 +85,18 @@ def test_what_the_study_trains_and_that_it_can_be_interrupted(program, tmp_path,
     }
 
 
+def test_some_trainings_alone(program, tmp_path, monkeypatch, capsys):
+    planned = []
+    monkeypatch.setattr(program, "carry_out", lambda runs, *_, **__: planned.extend(runs) or True)
+    out, _ = run_main(program, tmp_path, "--only", "paper_1", "touch_0_gamma")
+    assert out == ""
+    assert [run.name for run in planned] == ["paper_1", "touch_0_gamma"]
+    with pytest.raises(SystemExit) as end:
+        program.main(["--only", "touch_3"])
+    assert end.value.code == 2
+    assert "--only 'touch_3': must be among touch_0, touch_1" in capsys.readouterr().err
+
+
 def test_a_document_without_places_is_refused_before_any_training(program, tmp_path):
     (tmp_path / "page.md").write_text("nothing", encoding="utf-8")
     with pytest.raises(SystemExit) as end:
