@@ -4,6 +4,7 @@ What is finished is skipped, what is begun is resumed, so the same call carries 
 interrupted in any way.
 """
 
+import os
 import shlex
 import shutil
 import subprocess
@@ -26,6 +27,9 @@ RESULTS = (EVALUATION_FILE, "report.json")
 
 _PAUSE = 0.1
 """[s] Between two looks at the processes."""
+
+_TOLD = "30"
+"""[s] Between two lines of a bar in a log."""
 
 
 class Run(NamedTuple):
@@ -89,7 +93,7 @@ def carry_out(runs: Sequence[Run], folder: Path, *, num_processes: int = 1) -> b
                     status = running.pop(name).returncode
                     if is_finished(folder / name):
                         bar.update()
-                    elif not interrupted:
+                    else:
                         failures.append(_explain(name, status, folder))
         except KeyboardInterrupt:
             return False
@@ -154,6 +158,7 @@ def _start(run: Run, program: Path, folder: Path) -> subprocess.Popen[bytes]:
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
+            env={"TQDM_MININTERVAL": _TOLD, **os.environ},
             start_new_session=True,
         )
 
@@ -167,6 +172,6 @@ def _interrupt(running: Mapping[str, subprocess.Popen[bytes]]) -> None:
 def _explain(name: str, status: int, folder: Path) -> str:
     """Why a run has failed: the last line that it printed."""
     log = folder / f"{name}.log"
-    lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
+    lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
     last = next((line for line in reversed(lines) if line.strip()), "")
     return f"run {name} ended with status {status}: {last.strip()} (all in {log})"

@@ -20,7 +20,12 @@ SOURCE = """
 import shlex, signal, sys, time
 from pathlib import Path
 stopped = []
-signal.signal(signal.SIGTERM, lambda *_: sys.exit(3) if stopped else stopped.append(1))
+def stop(*_):
+    if stopped:
+        sys.exit(3)
+    stopped.append(1)
+    (folder / "told").touch()
+signal.signal(signal.SIGTERM, stop)
 word, *options = sys.argv[1:]
 fields = dict(option.split("=") for option in options)
 print("algorithm", word)
@@ -139,13 +144,14 @@ def test_a_failure_is_told_when_the_others_are_finished(study):
     assert is_finished(study / "b")
 
 
-def interrupt_when(is_time):
-    """Interrupt this process once something is so, from another thread."""
+def interrupt_when(*are_times):
+    """Interrupt this process once something is so, and again at the next, from another thread."""
 
     def wait():
-        while not is_time():
-            time.sleep(0.01)
-        os.kill(os.getpid(), signal.SIGINT)
+        for is_time in are_times:
+            while not is_time():
+                time.sleep(0.01)
+            os.kill(os.getpid(), signal.SIGINT)
 
     threading.Thread(target=wait, daemon=True).start()
 
@@ -167,12 +173,8 @@ def test_an_interruption_is_passed_on_and_the_study_goes_on_from_there(study):
 def test_a_second_interruption_stops_at_once(study):
     source = SOURCE.replace("and not stopped", "")
     (study.parent / PROGRAM).write_text(source, encoding="utf-8")
-    for seconds in (0.5, 1.0):
-        threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGINT)).start()
+    run = study / "a"
+    interrupt_when((run / "resume.pt").exists, (run / "told").exists)
     assert not carry_out([make("a", 3_000)], study)
-    assert log_is_missing(study / "a")
-
-
-def log_is_missing(path):
-    """The program has been stopped in its midst."""
-    return (path / "command.txt").exists() and not (path / "log").exists()
+    # Stopped in its midst: what it would write at its end is not there.
+    assert not (run / "log").exists()

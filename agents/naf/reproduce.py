@@ -1,7 +1,8 @@
 """The paper's experiment with the paper's numbers: its figures, and a table beside its statements.
 
 python agents/naf/reproduce.py [--output runs/reproduction] [--seeds 0 1 2]
-    [--scenarios touch paper] [--processes N] [--quick] [--figures FOLDER] [--docs FILE]
+    [--scenarios touch paper] [--processes N] [--only RUN ...] [--quick] [--figures FOLDER]
+    [--docs FILE]
 
 Trains recipe=paper for every scenario and seed, and the first of them with gamma 0.99 as well. The
 same command goes on after an interruption. --quick has the same form on a budget of seconds: it
@@ -36,10 +37,12 @@ from marl_lanes.report.statements import (
     tabulate_statements,
 )
 from marl_lanes.scenario import Scenario, load_scenario
+from marl_lanes.scenario.messages import shown
 from marl_lanes.studies import Run, carry_out
 from marl_lanes.terminal import lenient_streams
 from marl_lanes.traffic.parameters import make_parameters
 from marl_lanes.training.command_line import Parser, refusing
+from marl_lanes.training.config import ConfigError
 from marl_lanes.training.failures import ending
 
 PROGRAM = "agents/naf/train.py"
@@ -84,12 +87,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             scenarios = {name: load_scenario(name) for name in options.scenarios}
             if options.docs is not None:
                 check_document(options.docs, TABLES)
-            runs = plan(options)
+            runs = choose(plan(options), options.only)
             is_whole = carry_out(runs, options.output, num_processes=options.processes)
-        if is_whole:
-            report(options, scenarios)
-        else:
+        if not is_whole:
             print("interrupted; the same command goes on")
+        elif not options.only:
+            report(options, scenarios)
 
 
 def plan(options: argparse.Namespace) -> list[Run]:
@@ -102,6 +105,19 @@ def plan(options: argparse.Namespace) -> list[Run]:
     ]
     name, program, first = runs[0]
     return [*runs, Run(f"{name}_gamma", program, (*first, f"loss.gamma={OTHER_GAMMA}"))]
+
+
+def choose(runs: list[Run], names: Sequence[str]) -> list[Run]:
+    """The runs of these names, all if there are none.
+
+    Raises:
+        ConfigError: there is no run of a name.
+    """
+    known = [run.name for run in runs]
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"--only {shown(name)}: must be among {', '.join(known)}")
+    return [run for run in runs if not names or run.name in names]
 
 
 def report(options: argparse.Namespace, scenarios: Mapping[str, Scenario]) -> None:
@@ -245,6 +261,14 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--scenarios", nargs="+", default=["touch", "paper"], metavar="NAME")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], metavar="N")
     parser.add_argument("--processes", type=int, default=1, help="trainings at a time (default: 1)")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=[],
+        metavar="RUN",
+        help="carry out these trainings alone, and report nothing: SCENARIO_SEED, or the first "
+        "one's with _gamma",
+    )
     parser.add_argument("--quick", action="store_true", help="a budget of seconds")
     parser.add_argument("--figures", type=Path, help="their folder (default: OUTPUT/figures)")
     parser.add_argument("--docs", type=Path, metavar="FILE", help="put the tables into it, too")

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -24,11 +25,15 @@ def test_its_quick_form(program, tmp_path, monkeypatch):
     trained = []
 
     def carry_out(runs, folder, *, num_processes):
-        """In this process; tests/test_studies.py has the processes."""
-        for run in runs:
-            trained.append(run.name)
-            train = load_program(FOLDER.parents[1] / run.program)
-            run_main(train, tmp_path, *run.arguments, f"output={folder / run.name}")
+        """In this process; tests/test_studies.py has the processes. The second is the first."""
+        trained.extend(run.name for run in runs)
+        first, second = (folder / run.name for run in runs)
+        train = load_program(FOLDER.parents[1] / runs[0].program)
+        run_main(train, tmp_path, *runs[0].arguments, f"output={first}")
+        shutil.copytree(first, second)
+        config = (first / "config.yaml").read_text(encoding="utf-8")
+        other = config.replace("gamma: 0.95", "gamma: 0.99")
+        (second / "config.yaml").write_text(other, encoding="utf-8")
         return num_processes == 1
 
     monkeypatch.setattr(program, "carry_out", carry_out)
@@ -78,6 +83,18 @@ def test_what_the_study_trains_and_that_it_can_be_interrupted(program, tmp_path,
         "evaluation.record",
         "loss.gamma",
     }
+
+
+def test_some_trainings_alone(program, tmp_path, monkeypatch, capsys):
+    planned = []
+    monkeypatch.setattr(program, "carry_out", lambda runs, *_, **__: planned.extend(runs) or True)
+    out, _ = run_main(program, tmp_path, "--only", "paper_1", "touch_0_gamma")
+    assert out == ""
+    assert [run.name for run in planned] == ["paper_1", "touch_0_gamma"]
+    with pytest.raises(SystemExit) as end:
+        program.main(["--only", "touch_3"])
+    assert end.value.code == 2
+    assert "--only 'touch_3': must be among touch_0, touch_1" in capsys.readouterr().err
 
 
 def test_a_document_without_places_is_refused_before_any_training(program, tmp_path):

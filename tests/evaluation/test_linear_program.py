@@ -1,6 +1,7 @@
 """The linear program of one duration, compared with one in which the states are variables."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,3 +65,21 @@ def test_actions_complete_where_every_bound_holds_first():
     is_there = (np.abs(known) <= program.bounds[:, np.newaxis] + 1e-7).all(axis=0)
     assert is_there.tolist().index(True) == found - 1
     assert program.first_completion(np.zeros(30)) == 30
+
+
+def test_a_discount_weighs_each_step():
+    """Later costs count less: the discounted optimum is cheaper by that measure, and slower."""
+    program = program_of(np.full(40, 20.0), PASSING)
+    discounted = replace(program, gamma=0.95)
+
+    def cost_of(actions):
+        n = actions.size
+        known = program.free[:, :n] + program.response[:, :n, :n] @ actions
+        turning, deviation = np.abs(known[[YAW_RATE, DEVIATION]])
+        terms = 2.0 * np.abs(actions) + 0.5 * turning + 0.05 * deviation / 1.875
+        return float(terms @ 0.95 ** np.arange(n))
+
+    cost, actions = discounted.solve(60)
+    assert cost == pytest.approx(cost_of(actions))
+    assert cost < cost_of(program.solve(60)[1]) - 0.01
+    assert np.abs(actions).max() < np.abs(program.solve(60)[1]).max()
