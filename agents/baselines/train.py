@@ -17,6 +17,7 @@ import torch
 from marl_lanes import LaneChangeEnv, Scenario
 from marl_lanes.experiment import run, start
 from marl_lanes.terminal import lenient_streams
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.td3 import TD3, TD3Config
 from marl_lanes.training.checkpoint import make_actor_network
@@ -48,7 +49,7 @@ def make_td3(
 ) -> TD3:
     """TD3 with an untrained actor."""
     widths = config.network.hidden_sizes
-    check_networks(config, "network.hidden_sizes", widths, len(scenario.observation.features))
+    check_networks(config, "network.hidden_sizes", widths, len(CHANGER.seen(scenario)))
     network = make_actor_network(scenario, widths)
     return TD3(config, env, network, device=device, acting_device=acting_device)
 

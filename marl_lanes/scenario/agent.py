@@ -4,7 +4,7 @@ from typing import Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
-from marl_lanes.scenario.fields import Positive, Section, Weight
+from marl_lanes.scenario.fields import Count, Positive, Section, Weight
 
 
 class Completion(Section):
@@ -98,6 +98,13 @@ class Observation(Section):
         min_length=1,
         max_length=len(get_args(FeatureName)),
         description="feature names in order [list], no duplicates",
+    )
+    num_stacked: Count = Field(
+        1,
+        ge=1,
+        le=64,
+        description="observations that it sees, the newest first: this step's and those of the "
+        "steps before [count], 1 to 64",
     )
     sensor_range: Positive = Field(
         200.0,

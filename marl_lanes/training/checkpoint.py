@@ -36,6 +36,7 @@ def make_network(
     hidden_sizes: Sequence[int] = _HIDDEN_SIZES,
     *,
     role: Role = CHANGER,
+    encoder: str = "none",
     knows_action_cost: bool = True,
 ) -> NAFNetwork:
     """An untrained network for the features and action bounds of a role.
@@ -45,6 +46,7 @@ def make_network(
         mu: structure of mu; of followers ``mlp``.
         hidden_sizes: widths of the hidden layers of each network.
         role: of the agents.
+        encoder: ``none``, or ``gru`` if the scenario stacks observations.
         knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
             of the yaw acceleration in it; otherwise it is a plain parabola.
     """
@@ -52,7 +54,7 @@ def make_network(
     costs = [0.0] * len(form["action_low"])
     if knows_action_cost and mu.startswith("cascade"):
         costs[0] = scenario.reward.yaw_acceleration_weight
-    return NAFNetwork(**form, mu=mu, hidden_sizes=hidden_sizes, action_costs=costs)
+    return NAFNetwork(**form, mu=mu, encoder=encoder, hidden_sizes=hidden_sizes, action_costs=costs)
 
 
 def make_actor_network(

@@ -135,10 +135,11 @@ class Roles(Driving):
             agent.neighbors[f"{prefix}follower"] = self.behind(agent.car, is_there)
 
     def look(self, agent):
-        """Find the neighbors, and set every feature by name."""
+        """Find the neighbors, and set every feature by name; keep those of the steps before."""
         self.find_neighbors(agent)
         car, sign = agent.car, agent.direction
-        seen = agent.observation
+        before, seen = agent.observation, {}
+        agent.observation = seen
         seen["speed"], seen["acceleration"] = car.speed, car.acceleration
         seen["lateral_deviation"] = self.deviation(agent)
         seen["lateral_speed"] = sign * car.speed * math.sin(car.yaw)
@@ -158,3 +159,7 @@ class Roles(Driving):
                 seen[f"{name}_relative_speed"] = other.speed - car.speed
         for name, value in seen.items():
             seen[name] = clip(name, value)
+        for name in self.scenario.observation.features:
+            for steps in range(1, self.scenario.observation.num_stacked):
+                source = name if steps == 1 else f"{name}@{steps - 1}"
+                seen[f"{name}@{steps}"] = before.get(source, seen[name])

@@ -238,7 +238,24 @@ TERMS = (
 )
 """The terms of a changer's reward. The first three count while it steers, the others always."""
 
-observe_changer = make_observer(FEATURES)
+_observe_now = make_observer(FEATURES)
+
+
+@internal
+def observe_changer(codes: Any, seen: Any, agent: Any, car: Any, scene: Any) -> None:
+    """Set its newest observation, behind which the earlier ones move on; once in each step.
+
+    At its command the earlier ones are copies of the first.
+    """
+    size = codes.shape[0]
+    for column in range(seen.shape[0] - 1, size - 1, -1):
+        seen[column] = seen[column - size]
+    _observe_now(codes, seen, agent, car, scene)
+    if agent.born_step == scene.road.step:
+        for column in range(size, seen.shape[0]):
+            seen[column] = seen[column - size]
+
+
 pay_changer = make_payment(TERMS)
 
 
@@ -260,6 +277,7 @@ CHANGER = Role(
     features=FEATURES,
     terms=TERMS,
     see=lambda scenario: scenario.observation.features,
+    stack=lambda scenario: scenario.observation.num_stacked,
     act=_act,
     reward=lambda scenario: scenario.reward,
 )

@@ -78,6 +78,7 @@ class Role:
         features: all features that they can observe.
         terms: all terms of their reward, in the order of summation.
         see: names of the features that they observe in a scenario, in order.
+        stack: how many observations they see there, the newest and those of the steps before.
         act: the dimensions of their action in a scenario.
         reward: the scenario's section with the weights of the terms.
     """
@@ -90,6 +91,7 @@ class Role:
     features: tuple[Feature, ...]
     terms: tuple[Term, ...]
     see: Callable[[Scenario], Sequence[str]]
+    stack: Callable[[Scenario], int]
     act: Callable[[Scenario], tuple[Dimension, ...]]
     reward: Callable[[Scenario], Section]
 
@@ -108,13 +110,19 @@ class Role:
         return tuple(f"reward_{term.name}" for term in self.terms)
 
     def codes(self, scenario: Scenario) -> NDArray[np.int32]:
-        """Row numbers of the observed features, (F,) int32."""
+        """Row numbers of the features of one observation, int32."""
         rows = {feature.name: row for row, feature in enumerate(self.features)}
         return np.asarray([rows[name] for name in self.see(scenario)], np.int32)
 
     def seen(self, scenario: Scenario) -> list[Feature]:
-        """The observed features, in order."""
-        return [self.features[code] for code in self.codes(scenario)]
+        """The columns of the observation, in order; ``speed@2`` is the speed two steps ago."""
+        now = [self.features[code] for code in self.codes(scenario)]
+        before = [
+            feature._replace(name=f"{feature.name}@{steps}")
+            for steps in range(1, self.stack(scenario))
+            for feature in now
+        ]
+        return now + before
 
     def observation_bounds(self, scenario: Scenario) -> Bounds:
         """Lowest and highest observations, (F,)."""

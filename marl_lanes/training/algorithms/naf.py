@@ -44,7 +44,7 @@ class NAFLossConfig(Section):
 
 
 class NAFOptimizerConfig(OptimizerConfig):
-    """Adam for M and V, and for mu; the step sizes fall through stage two."""
+    """Adam for M, V and an encoder, and for mu; the step sizes fall through stage two."""
 
     mu_learning_rate: Magnitude = Field(
         description="step size of mu: smaller, V keeps up with the policy that it has to value"
@@ -71,6 +71,10 @@ class NetworkConfig(Section):
     mu: str = Field(
         description="cascade, paper, damped or mlp; with two actions the first three with +idm or "
         "+mlp, or mlp"
+    )
+    encoder: Literal["none", "gru"] = Field(
+        description="what the networks see: none: the observation; gru: the newest of stacked "
+        "observations and the state of a GRU over all of them"
     )
     knows_action_cost: bool = Field(
         description="whether Q has the reward's own cost of the yaw acceleration in it; with mu "
@@ -120,7 +124,8 @@ class NAF(Algorithm):
         self.group = group
         self.device = device
         # One tensor for parameters that learn together: the optimizer's cost is mostly per tensor.
-        parts = [*network.factor_logits.parameters(), *network.value.parameters()]
+        others = (network.factor_logits, network.value, network.encoder)
+        parts = [parameter for part in others for parameter in part.parameters()]
         self.joined = [join_parameters(part) for part in (parts, list(network.mu.parameters()))]
         self.gradients = [block.grad for block in self.joined if block.grad is not None]
         rates: dict[float, list[nn.Parameter]] = {}
