@@ -6,7 +6,7 @@
 #                each in a virtual environment of its own: .venv-lowest, .venv-newest
 # make coverage - the lines of marl_lanes that the tests of `make test` run; kernels count where they are interpreted
 # make mutation - small faults put into naf/ and traffic/, and which of them the tests let pass: hours (ARGS="--share 0.1": less)
-# make figures - draw the figures of docs/ anew, in half a minute
+# make figures - draw the figures of docs/ anew, in a few minutes
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
 #                  pictures with highway-env's
 # Each sets up .venv when it is missing or out of date.
@@ -81,6 +81,8 @@ figures: $(VENV)/installed
 		--figure docs/figures/followers.svg --figure docs/figures/followers.png
 	$(BIN)/marl-lanes record tuned-cascade --scenario yielding --follow changer_7 --start 39 --seconds 9 \
 		--span 150 --size 800x500 --out docs/figures/highway.gif
+	$(BIN)/python agents/memory/recognise.py --output build/recognition.json \
+		--figure docs/figures/recognition.svg --figure docs/figures/recognition.png
 	$(BIN)/python benchmarks/convergence.py \
 		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 
