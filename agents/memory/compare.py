@@ -1,11 +1,13 @@
-"""Does memory help a lane changer? NAF without it, with stacked observations, and with a GRU.
+"""Does a lane changer gain from seeing more? NAF with memory, with a grid, and with neither.
 
-python agents/memory/compare.py [--scenario hidden] [--memories none stacked gru] [--seeds 0 1 2]
-    [--transitions 400000] [--processes 1] --output DIR
+python agents/memory/compare.py [--scenario hidden] [--views plain stacked gru grid]
+    [--seeds 0 1 2] [--transitions 400000] [--processes 1] --output DIR
 
-Each training is agents/naf/train.py with the recipe interactive and this number of transitions, in
-DIR/MEMORY_SEED. What is finished is kept, so the same command carries on a comparison that was
-interrupted. The table is of all finished trainings in DIR.
+plain is the scenario's own observation; stacked has the last 8 observations; gru reads these with a
+GRU; grid has an occupancy grid beside the features, read by a convolution. Each training is
+agents/naf/train.py with the recipe interactive and this number of transitions, in DIR/VIEW_SEED.
+What is finished is kept, so the same command carries on a comparison that was interrupted. The
+table is of all finished trainings in DIR.
 """
 
 import argparse
@@ -30,12 +32,13 @@ from marl_lanes.training.run_folder import EVALUATION_FILE
 
 TRAIN = "agents/naf/train.py"
 NUM_STACKED = 8
-MEMORIES: Mapping[str, tuple[int, str]] = {
-    "none": (1, "none"),
-    "stacked": (NUM_STACKED, "none"),
-    "gru": (NUM_STACKED, "gru"),
+VIEWS: Mapping[str, tuple[Mapping[str, Any], str]] = {
+    "plain": ({}, "none"),
+    "stacked": ({"num_stacked": NUM_STACKED}, "none"),
+    "gru": ({"num_stacked": NUM_STACKED}, "gru"),
+    "grid": ({"grid": {}}, "grid"),
 }
-"""Number of stacked observations, and the encoder."""
+"""What is set in the scenario's observation, and the encoder."""
 STAGE_ONE = 0.3
 """Of the transitions, as in the recipe."""
 NUM_SAVED = 4
@@ -70,9 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with refusing():
         write_scenarios(options.scenario, options.output)
         runs = [
-            make_run(memory, seed, options.transitions, options.output)
+            make_run(view, seed, options.transitions, options.output)
             for seed in options.seeds
-            for memory in options.memories
+            for view in options.views
         ]
         is_over = carry_out(runs, options.output, num_processes=options.processes)
         found = summarise(options.output)
@@ -83,19 +86,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def write_scenarios(source: str, folder: Path) -> None:
-    """The scenario as each memory sees it."""
-    for num_stacked in {count for count, _ in MEMORIES.values()}:
-        scenario = load_scenario(source, {"observation": {"num_stacked": num_stacked}})
+    """The scenario with the observation of each view."""
+    for view, (observation, _) in VIEWS.items():
+        scenario = load_scenario(source, {"observation": observation})
         text = format_yaml(scenario.model_dump(mode="json"))
-        write_text(folder / f"stacked_{num_stacked}.yaml", text)
+        write_text(folder / f"{view}.yaml", text)
 
 
-def make_run(memory: str, seed: int, transitions: int, folder: Path) -> Run:
-    """The training of a memory, with the recipe's proportions."""
-    num_stacked, encoder = MEMORIES[memory]
+def make_run(view: str, seed: int, transitions: int, folder: Path) -> Run:
+    """The training of a view, with the recipe's proportions."""
+    _, encoder = VIEWS[view]
     fields = {
         "recipe": "interactive",
-        "scenario": folder / f"stacked_{num_stacked}.yaml",
+        "scenario": folder / f"{view}.yaml",
         "network.encoder": encoder,
         "seed": seed,
         "collector.total_transitions": transitions,
@@ -105,25 +108,23 @@ def make_run(memory: str, seed: int, transitions: int, folder: Path) -> Run:
         "evaluation.num_maneuvers": NUM_MANEUVERS,
         "evaluation.record": "false",
     }
-    return Run(
-        f"{memory}_{seed}", TRAIN, tuple(f"{name}={value}" for name, value in fields.items())
-    )
+    return Run(f"{view}_{seed}", TRAIN, tuple(f"{name}={value}" for name, value in fields.items()))
 
 
 def summarise(folder: Path) -> dict[str, Any]:
-    """What each memory achieves, over the maneuvers of all its finished trainings.
+    """What each view achieves, over the maneuvers of all its finished trainings.
 
     All are evaluated on the same roads; so a road with all its maneuvers, of all seeds, is what an
     interval's resamples draw.
     """
     result = {}
-    for memory in MEMORIES:
-        paths = [path for path in sorted(folder.glob(f"{memory}_*")) if is_finished(path)]
+    for view in VIEWS:
+        paths = [path for path in sorted(folder.glob(f"{view}_*")) if is_finished(path)]
         if paths:
             rows = [row for path in paths for row in read_maneuvers(path)]
             told = [json.loads((path / EVALUATION_FILE).read_text("utf-8")) for path in paths]
             rewards = [one["mean_episode_reward"] for one in told]
-            result[memory] = {
+            result[view] = {
                 **{name: vars(value) for name, value in estimate(rows).items()},
                 "reward": vars(Estimate(float(np.mean(rewards)), min(rewards), max(rewards))),
                 "seeds": {
@@ -165,15 +166,15 @@ def estimate(rows: Sequence[Mapping[str, str]]) -> dict[str, Estimate]:
 
 def table(found: Mapping[str, Any]) -> str:
     """The numbers as a table in Markdown; of the reward and the last column the range of seeds."""
-    titles = ["memory", *(column.title for column in COLUMNS.values()), "success of each seed [%]"]
+    titles = ["view", *(column.title for column in COLUMNS.values()), "success of each seed [%]"]
     lines = [titles, ["---"] * len(titles)]
-    for memory, one in found.items():
+    for view, one in found.items():
         cells = [
             format_estimate(one[name], column.factor, column.decimals)
             for name, column in COLUMNS.items()
         ]
         seeds = ", ".join(f"{100.0 * rate:.1f}" for rate in one["seeds"].values())
-        lines.append([memory, *cells, seeds])
+        lines.append([view, *cells, seeds])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -182,7 +183,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenario", default="hidden", help="with two actions (default: hidden)")
     parser.add_argument(
-        "--memories", nargs="+", choices=list(MEMORIES), default=list(MEMORIES), help="default: all"
+        "--views", nargs="+", choices=list(VIEWS), default=list(VIEWS), help="default: all"
     )
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="default: 0 1 2")
     parser.add_argument(
@@ -195,7 +196,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         if not 1 <= getattr(options, name) <= MAX_COUNT:
             value = shown(getattr(options, name))
             parser.error(f"--{name} {value}: must be at least 1, at most {MAX_COUNT}")
-    for name in ("memories", "seeds"):
+    for name in ("views", "seeds"):
         if len(set(getattr(options, name))) < len(getattr(options, name)):
             parser.error(f"--{name} {shown(getattr(options, name))}: must name each once")
     return options

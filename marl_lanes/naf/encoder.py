@@ -1,6 +1,7 @@
 """Encoders: what the networks of V, M and mu see of the normalized observation."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -64,17 +65,79 @@ class GRUEncoder(nn.Module):
         return encoded.reshape(*normalised.shape[:-1], encoded.shape[-1])
 
 
-ENCODERS: dict[str, type[PlainEncoder] | type[GRUEncoder]] = {
+class GridEncoder(nn.Module):
+    """The features, and what a small convolution makes of the occupancy grid.
+
+    Two layers move along the road; the first one reads all lanes at once.
+
+    Args:
+        features: names of the observation's columns: those of the features, then for each cell
+            ``occupied_LANE_STRETCH``, then for each ``cell_speed_LANE_STRETCH``.
+
+    Attributes:
+        outputs: names of the columns that it gives, those of the features first.
+
+    Raises:
+        ValueError: the columns do not end with those of a grid, or it has too few stretches.
+    """
+
+    NUM_CHANNELS = 8
+    WIDTH = 5
+    """[stretches] That a layer reads at once, at every second place."""
+    LEAST_STRETCHES = 13
+
+    def __init__(self, features: Sequence[str]) -> None:
+        super().__init__()
+        lanes, stretches = _grid_size(features)
+        cells = [f"{i}_{j}" for i in range(lanes) for j in range(stretches)]
+        columns = [f"{kind}_{cell}" for kind in ("occupied", "cell_speed") for cell in cells]
+        self.num_features = len(features) - len(columns)
+        if stretches < self.LEAST_STRETCHES or list(features[self.num_features :]) != columns:
+            raise ValueError(
+                f"encoder 'grid' needs an occupancy grid of {self.LEAST_STRETCHES} or more "
+                f"stretches, not stacked, got {', '.join(features)}"
+            )
+        self.shape = (2, lanes, stretches)
+        channels, width = self.NUM_CHANNELS, self.WIDTH
+        self.layers = nn.Sequential(
+            nn.Conv2d(2, channels, (lanes, width), stride=(1, 2), dtype=torch.float32),
+            nn.Tanh(),
+            nn.Conv2d(channels, channels, (1, width), stride=(1, 2), dtype=torch.float32),
+            nn.Tanh(),
+            nn.Flatten(),
+        )
+        size = self.layers(torch.zeros(1, *self.shape)).shape[1]
+        self.outputs = [*features[: self.num_features], *(f"grid_{i}" for i in range(size))]
+
+    def forward(self, normalised: Tensor) -> Tensor:
+        """(..., F + 2 * lanes * stretches) to (..., F + the convolution's outputs)."""
+        rows = normalised.reshape(-1, normalised.shape[-1])
+        plain, cells = rows[:, : self.num_features], rows[:, self.num_features :]
+        seen = self.layers(cells.reshape(-1, *self.shape))
+        encoded = torch.cat([plain, seen], dim=-1)
+        return encoded.reshape(*normalised.shape[:-1], encoded.shape[-1])
+
+
+def _grid_size(features: Sequence[str]) -> tuple[int, int]:
+    """Lanes and stretches of the grid whose last cell the last column names; (0, 0) for none."""
+    found = re.fullmatch(r"cell_speed_(\d{1,2})_(\d{1,2})", "".join(features[-1:]))
+    return (0, 0) if found is None else (int(found[1]) + 1, int(found[2]) + 1)
+
+
+Encoder = PlainEncoder | GRUEncoder | GridEncoder
+
+ENCODERS: dict[str, Callable[[Sequence[str]], Encoder]] = {
     "none": PlainEncoder,
     "gru": GRUEncoder,
+    "grid": GridEncoder,
 }
 
 
-def make_encoder(name: str, features: Sequence[str]) -> PlainEncoder | GRUEncoder:
+def make_encoder(name: str, features: Sequence[str]) -> Encoder:
     """The encoder of that name.
 
     Args:
-        name: "none" or "gru".
+        name: "none", "gru" or "grid".
         features: names of the observation's columns.
 
     Raises:

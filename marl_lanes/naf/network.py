@@ -50,7 +50,8 @@ class NAFNetwork(TensorDictModuleBase):
             (exactly Eq. 6 and Eq. 7) or "damped" (three placed poles). For two actions: one of
             these with "+idm" (car following and a correction) or "+mlp" for the second action.
             "mlp" for any number.
-        encoder: "none", or "gru" for stacked observations (`GRUEncoder`).
+        encoder: "none", "gru" for stacked observations (`GRUEncoder`), or "grid" for an occupancy
+            grid (`GridEncoder`).
         hidden_sizes: widths of the hidden layers of every network.
         offsets: observation offsets, one per feature, in its unit; zeros by default.
         scales: observation scales, one per feature, positive, in its unit; ones by default.

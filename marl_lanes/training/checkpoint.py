@@ -46,7 +46,7 @@ def make_network(
         mu: structure of mu; of followers ``mlp``.
         hidden_sizes: widths of the hidden layers of each network.
         role: of the agents.
-        encoder: ``none``, or ``gru`` if the scenario stacks observations.
+        encoder: ``none``, ``gru`` if the scenario stacks observations, ``grid`` if it has a grid.
         knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
             of the yaw acceleration in it; otherwise it is a plain parabola.
     """

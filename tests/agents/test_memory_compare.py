@@ -1,4 +1,4 @@
-"""The comparison of NAF with and without memory: its trainings, and its table."""
+"""The comparison of NAF with memory, with a grid, with neither: trainings and table."""
 
 import json
 import re
@@ -36,21 +36,21 @@ def test_every_training_is_one_that_the_program_of_naf_accepts(program, tmp_path
     train = load_program(AGENTS / "naf" / "train.py")
     program.write_scenarios("hidden", tmp_path)
     sizes = {}
-    for memory in program.MEMORIES:
-        run = program.make_run(memory, 3, 100_000, tmp_path)
+    for view in program.VIEWS:
+        run = program.make_run(view, 3, 100_000, tmp_path)
         config = train.read([*run.arguments, f"output={tmp_path / run.name}"])
         assert (run.program, config.seed) == ("agents/naf/train.py", 3)
         assert config.optimizer.pretraining_transitions == 30_000
         network = train.start_network(config, load_scenario(config.scenario))
         assert load_scenario(config.scenario).name == "hidden"
-        sizes[memory] = len(network.features), len(network.encoder.outputs)
-    assert sizes == {"none": (15, 15), "stacked": (120, 120), "gru": (120, 47)}
+        sizes[view] = len(network.features), len(network.encoder.outputs)
+    assert sizes == {"plain": (15, 15), "stacked": (120, 120), "gru": (120, 47), "grid": (135, 31)}
 
 
 def test_the_table_is_of_all_finished_trainings(program, tmp_path, capsys, monkeypatch):
     def carry_out(runs, folder, *, num_processes):
         assert num_processes == 2
-        assert [run.name for run in runs] == ["none_0", "gru_0", "none_5", "gru_5"]
+        assert [run.name for run in runs] == ["plain_0", "gru_0", "plain_5", "gru_5"]
         finish(
             runs[0], folder, "0,0,missed,0,1.0,60.0,2,-6.0,,\n1,0,completed,1,0,9,1,-5,-4,1.25\n"
         )
@@ -60,28 +60,28 @@ def test_the_table_is_of_all_finished_trainings(program, tmp_path, capsys, monke
         return False
 
     monkeypatch.setattr(program, "carry_out", carry_out)
-    memories = ["--memories", "none", "gru", "--seeds", "0", "5", "--processes", "2"]
-    program.main([*memories, "--output", str(tmp_path)])
+    views = ["--views", "plain", "gru", "--seeds", "0", "5", "--processes", "2"]
+    program.main([*views, "--output", str(tmp_path)])
     found = json.loads((tmp_path / "comparison.json").read_text("utf-8"))
-    assert list(found) == ["none", "gru"]
-    assert found["none"]["success"]["value"] == pytest.approx(2 / 3)
-    assert found["none"]["missed"]["value"] == pytest.approx(1 / 3)
-    assert found["none"]["aborts"]["value"] == pytest.approx(1.0)
-    assert found["none"]["time"]["value"] == pytest.approx(8.5)
-    assert found["none"]["cost_ratio"]["value"] == pytest.approx(11 / 8)
-    assert found["none"]["reward"] == {"value": -20.0, "low": -20.0, "high": -20.0}
+    assert list(found) == ["plain", "gru"]
+    assert found["plain"]["success"]["value"] == pytest.approx(2 / 3)
+    assert found["plain"]["missed"]["value"] == pytest.approx(1 / 3)
+    assert found["plain"]["aborts"]["value"] == pytest.approx(1.0)
+    assert found["plain"]["time"]["value"] == pytest.approx(8.5)
+    assert found["plain"]["cost_ratio"]["value"] == pytest.approx(11 / 8)
+    assert found["plain"]["reward"] == {"value": -20.0, "low": -20.0, "high": -20.0}
     assert found["gru"]["seeds"] == {"0": 0.5, "5": 0.5}
     lines = capsys.readouterr().out.splitlines()
     assert [line.count("|") for line in lines[:4]] == [9] * 4
-    assert lines[2].startswith("| none | 66.7")
+    assert lines[2].startswith("| plain | 66.7")
     assert lines[-1].startswith("interrupted")
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--memories", "lstm"], "invalid choice: 'lstm'"),
-        (["--memories", "gru", "gru"], "--memories .*: must name each once"),
+        (["--views", "lstm"], "invalid choice: 'lstm'"),
+        (["--views", "gru", "gru"], "--views .*: must name each once"),
         (["--seeds", "1", "1"], "--seeds .*: must name each once"),
         (["--transitions", "0"], "--transitions 0: must be at least 1"),
         (["--processes", "0"], "--processes 0: must be at least 1"),

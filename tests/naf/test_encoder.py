@@ -6,10 +6,13 @@ from tensordict import TensorDict
 from torchrl.objectives import SoftUpdate
 
 from marl_lanes.naf import NAFLoss, NAFNetwork
-from marl_lanes.naf.encoder import GRUEncoder, make_encoder
+from marl_lanes.naf.encoder import GridEncoder, GRUEncoder, make_encoder
 
 NEWEST = ["speed", "lateral_deviation", "yaw"]
 STACKED = NEWEST + [f"{name}@{steps}" for steps in (1, 2, 3) for name in NEWEST]
+
+CELLS = [f"{lane}_{stretch}" for lane in range(3) for stretch in range(20)]
+GRIDDED = NEWEST + [f"{kind}_{cell}" for kind in ("occupied", "cell_speed") for cell in CELLS]
 
 
 def make_network(**options):
@@ -93,6 +96,34 @@ def test_while_mu_is_frozen_its_action_still_depends_on_the_memory():
     assert all(weight.grad is not None for weight in network.encoder.parameters())
 
 
+def test_a_convolution_reads_all_cells_and_the_formula_none():
+    torch.manual_seed(0)
+    encoder = GridEncoder(GRIDDED)
+    seen = torch.randn(4, 3 + 2 * 3 * 20, requires_grad=True)
+    encoded = encoder(seen)
+    assert encoder.outputs[:3] == NEWEST
+    assert encoded.shape == (4, len(encoder.outputs)) == (4, 3 + 16)
+    assert torch.equal(encoded[:, :3], seen[:, :3])
+    (slope,) = torch.autograd.grad(encoded[:, 3:].sum(), seen)
+    # With steps of two places the last stretches fit no more.
+    read = slope[:, 3:].abs().amax(0).reshape(2, 3, 20) > 0
+    assert read[..., :13].all()
+    # A grid that is a stretch further back is seen one place later.
+    cells = torch.zeros(1, 2, 3, 20)
+    cells[0, :, 1, 8] = 1.0
+    moved = cells.roll(4, -1)
+    one, other = (
+        encoder(torch.cat([torch.zeros(1, 3), grid.reshape(1, -1)], 1))[:, 3:].reshape(8, 2)
+        for grid in (cells, moved)
+    )
+    torch.testing.assert_close(one[:, 0], other[:, 1])
+    assert torch.equal(encoder(seen.reshape(2, 2, -1)), encoded.reshape(2, 2, -1))
+    network = NAFNetwork(GRIDDED, [-0.5], [0.5], mu="paper", encoder="grid")
+    assert network.mu.columns == [0, 1, 2]
+    (slope,) = torch.autograd.grad(network.max_value(seen).sum(), seen)
+    assert (slope[:, 3:].abs().amax(0) > 0).sum() > 70
+
+
 def test_none_gives_the_columns_as_they_are():
     encoder = make_encoder("none", STACKED)
     seen = observations()
@@ -103,11 +134,16 @@ def test_none_gives_the_columns_as_they_are():
 @pytest.mark.parametrize(
     ("name", "features", "message"),
     [
-        ("lstm", STACKED, "unknown encoder 'lstm', allowed: none, gru"),
+        ("lstm", STACKED, "unknown encoder 'lstm', allowed: none, gru, grid"),
         ("gru", NEWEST, "two or more stacked observations, got speed, lateral_deviation, yaw"),
         ("gru", STACKED[:-1], "stacked"),
         ("gru", [*NEWEST, *STACKED[6:], *STACKED[3:6]], "stacked"),
         ("gru", ["speed@1"], "stacked"),
+        ("grid", [], "occupancy grid of 13 or more stretches"),
+        ("grid", NEWEST, "occupancy grid"),
+        ("grid", GRIDDED[1:-1], "occupancy grid"),
+        ("grid", [*GRIDDED, *(f"{name}@1" for name in GRIDDED)], "not stacked"),
+        ("grid", [*NEWEST, "occupied_0_0", "cell_speed_0_0"], "13 or more stretches"),
     ],
 )
 def test_what_it_cannot_read_is_refused(name, features, message):

@@ -50,7 +50,6 @@ class Road(Roles):
             road.cars.append(car)
         for car in road.cars:
             car.changer = by_slot.get(int(state.vehicles[env, car.slot]["changer"]))
-        scenario, features = road.scenario, road.scenario.observation.features
         for slot, row in enumerate(state.agents[env]):
             if row["phase"] == Phase.ABSENT:
                 continue
@@ -61,9 +60,9 @@ class Road(Roles):
             car.agent.num_aborts = int(row["num_aborts"])
             car.agent.steering_steps = int(row["steering_steps"])
             car.agent.episode_reward = float(row["episode_reward"])
-            seen = state.observations[env, slot].reshape(scenario.observation.num_stacked, -1)
+            seen = state.observations[env, slot].reshape(road.scenario.observation.num_stacked, -1)
             for steps, values in enumerate(seen.tolist()):
-                names = [f"{name}@{steps}" if steps else name for name in features]
+                names = [f"{name}@{steps}" if steps else name for name in road.columns]
                 car.agent.observation |= dict(zip(names, values, strict=True))
             follower = by_slot.get(int(row["target_follower"]))
             car.agent.neighbors["target_follower"] = follower

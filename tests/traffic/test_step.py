@@ -23,6 +23,11 @@ from marl_lanes.traffic.machine.state import Disposition
 from marl_lanes.traffic.simulator import Simulator
 
 STACKED = {**EVERY_FEATURE, "num_stacked": 3}
+GRIDDED = {
+    "features": ["speed"],
+    "num_stacked": 2,
+    "grid": {"num_lanes": 5, "num_stretches": 7, "stretch": 6.0},
+}
 MIXED = {
     "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
     "followers": {"mix": {"cooperative": 1.0, "neutral": 1.0, "adversarial": 1.0}},
@@ -116,6 +121,13 @@ CASES = {
         "paper",
         CROWDED | {"gap": {}, "drivers": {**MIXED["drivers"], "car_following": "sum"}},
         100,
+        meets=("WAITING", "ENGAGED"),
+    ),
+    "gridded": Case(
+        "paper",
+        {**BUSY, "action": {"longitudinal": {}}, "observation": GRIDDED},
+        60,
+        noise=0.3,
         meets=("WAITING", "ENGAGED"),
     ),
     "busy": Case("paper", BUSY | {"observation": STACKED}, 100, meets=("WAITING", "ENGAGED")),

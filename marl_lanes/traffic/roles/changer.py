@@ -14,6 +14,7 @@ from marl_lanes.traffic.driving.acceleration import car_following
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import AGENT, NONE, Outcome
 from marl_lanes.traffic.road.geometry import curvature_at, wrap_angle
+from marl_lanes.traffic.roles.grid import grid_columns, observe_grid
 from marl_lanes.traffic.roles.role import (
     Dimension,
     Feature,
@@ -247,10 +248,12 @@ def observe_changer(codes: Any, seen: Any, agent: Any, car: Any, scene: Any) -> 
 
     At its command the earlier ones are copies of the first.
     """
-    size = codes.shape[0]
+    size = seen.shape[0] // scene.constants.num_stacked
     for column in range(seen.shape[0] - 1, size - 1, -1):
         seen[column] = seen[column - size]
     _observe_now(codes, seen, agent, car, scene)
+    if size > codes.shape[0]:
+        observe_grid(seen[codes.shape[0] : size], agent, car, scene)
     if agent.born_step == scene.road.step:
         for column in range(size, seen.shape[0]):
             seen[column] = seen[column - size]
@@ -277,6 +280,7 @@ CHANGER = Role(
     features=FEATURES,
     terms=TERMS,
     see=lambda scenario: scenario.observation.features,
+    beside=grid_columns,
     stack=lambda scenario: scenario.observation.num_stacked,
     act=_act,
     reward=lambda scenario: scenario.reward,

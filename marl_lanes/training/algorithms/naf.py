@@ -72,9 +72,10 @@ class NetworkConfig(Section):
         description="cascade, paper, damped or mlp; with two actions the first three with +idm or "
         "+mlp, or mlp"
     )
-    encoder: Literal["none", "gru"] = Field(
+    encoder: Literal["none", "gru", "grid"] = Field(
         description="what the networks see: none: the observation; gru: the newest of stacked "
-        "observations and the state of a GRU over all of them"
+        "observations and the state of a GRU over all of them; grid: the features and a "
+        "convolution of the occupancy grid"
     )
     knows_action_cost: bool = Field(
         description="whether Q has the reward's own cost of the yaw acceleration in it; with mu "
