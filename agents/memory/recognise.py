@@ -138,13 +138,13 @@ def watch(plain: Scenario, policy: Policy, num_roads: int, seconds: float, seed:
     for _ in trange(num_steps, desc="driving", unit="step"):
         next(driving)
         now = followers_of(simulator)
-        since = np.where(now != NONE, np.where(now == behind, since + 1, 0), 0)
-        # A driver that was not behind it from the beginning has not had the same time to react.
-        is_first = (now == behind) | (behind == NONE)
-        behind = np.where(is_first, now, behind)
-        behind[simulator.agents["phase"] != Phase.ENGAGED] = NONE
+        is_new = behind == NONE
+        since = np.where(is_new, 0, since + 1)
+        behind = np.where(is_new, now, behind)
         times = since * plain.time_step
-        chosen = (now != NONE) & is_first & (times <= MAX_TIME + 1e-9)
+        # A driver that comes later has not had the same time to react.
+        chosen = (now != NONE) & (now == behind) & (times <= MAX_TIME + 1e-9)
+        behind[simulator.agents["phase"] != Phase.ENGAGED] = NONE
         roads, slots = np.nonzero(chosen)
         drivers = simulator.agents["target_follower"][roads, slots]
         dispositions = simulator.vehicles["disposition"][roads, drivers]
