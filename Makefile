@@ -8,7 +8,7 @@
 # make mutation - small faults put into naf/ and traffic/, and which of them the tests let pass: hours (ARGS="--share 0.1": less)
 # make zoo - train the policies of marl_lanes/zoo/ anew, measure them, write their files and the index: an hour
 #            (ARGS="--processes N": N trainings at a time)
-# make figures - draw the figures of docs/ anew, in half a minute
+# make figures - draw the figures of docs/ anew, in a few minutes
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
 #                  pictures with highway-env's
 # Each sets up .venv when it is missing or out of date.
@@ -86,6 +86,8 @@ figures: $(VENV)/installed
 		--figure docs/figures/followers.svg --figure docs/figures/followers.png
 	$(BIN)/marl-lanes record tuned-cascade --scenario yielding --follow changer_7 --start 39 --seconds 9 \
 		--span 150 --size 800x500 --out docs/figures/highway.gif
+	$(BIN)/python agents/memory/recognise.py --output build/recognition.json \
+		--figure docs/figures/recognition.svg --figure docs/figures/recognition.png
 	$(BIN)/python benchmarks/convergence.py \
 		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 

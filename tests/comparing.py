@@ -13,7 +13,6 @@ from marl_lanes.traffic.roles.follower import FOLLOWER
 
 EVERY_FEATURE = {"features": [feature.name for feature in CHANGER.features]}
 OBSERVANT = load_scenario("paper", {"observation": EVERY_FEATURE})
-LOW, HIGH = CHANGER.observation_bounds(OBSERVANT)
 FOLLOWER_LOW, FOLLOWER_HIGH = FOLLOWER.observation_bounds(OBSERVANT)
 
 
@@ -44,6 +43,8 @@ def compare_vehicles(road, simulator, env):
 
 
 def compare_agents(road, simulator, env):
+    columns = CHANGER.seen(simulator.scenario)
+    low, high = CHANGER.observation_bounds(simulator.scenario)
     for slot, row in enumerate(rows_of(simulator.agents[env])):
         agent = road.agents.get(slot)
         seen = simulator.state.observations[env, slot]
@@ -70,10 +71,10 @@ def compare_agents(road, simulator, env):
         assert close(row["car_following"], agent.car_following)
         for name, other in agent.neighbors.items():
             assert row[name] == (other.slot if other else -1), name
-        assert (seen >= LOW).all()
-        assert (seen <= HIGH).all()
-        for name, value in zip(simulator.scenario.observation.features, seen, strict=True):
-            assert close(value, agent.observation[name], 1e-6), name
+        assert (seen >= low).all()
+        assert (seen <= high).all()
+        for feature, value in zip(columns, seen, strict=True):
+            assert close(value, agent.observation[feature.name], 1e-6), feature.name
 
 
 def compare_followers(road, simulator, env):

@@ -19,6 +19,7 @@ from marl_lanes import LaneChangeEnv, Scenario
 from marl_lanes.experiment import run, start
 from marl_lanes.terminal import lenient_streams
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.ddpg import DDPG, DDPGConfig
 from marl_lanes.training.algorithms.ppo import PPO, STATE_SCALES, PPOConfig
@@ -100,7 +101,7 @@ def make(
 ) -> Algorithm:
     """The algorithm with an untrained actor."""
     widths = config.network.hidden_sizes
-    num_inputs = len(scenario.observation.features)
+    num_inputs = len(CHANGER.seen(scenario))
     if env.has_state:
         num_inputs += env.scenario.max_vehicles * len(STATE_SCALES)
     check_networks(config, "network.hidden_sizes", widths, num_inputs)

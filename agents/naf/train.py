@@ -17,7 +17,9 @@ from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
 from marl_lanes.evaluation.policies import make_mpc_policy
 from marl_lanes.experiment import run, start
 from marl_lanes.naf.checkpoint import CheckpointError
+from marl_lanes.naf.encoder import make_encoder
 from marl_lanes.terminal import lenient_streams
+from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
 from marl_lanes.training.command_line import Fields, describe_command, read_command_line, refusing
@@ -75,13 +77,18 @@ def make_algorithm(
 def start_network(config: TrainingConfig, scenario: Scenario) -> NAFNetwork:
     """The network as the training finds it: untrained, or that of the initial checkpoint."""
     form = config.network
-    num_features = len(scenario.observation.features)
-    check_networks(config, "network.hidden_sizes", form.hidden_sizes, num_features)
+    features = [feature.name for feature in CHANGER.seen(scenario)]
+    check_networks(config, "network.hidden_sizes", form.hidden_sizes, len(features))
+    try:
+        make_encoder(form.encoder, features)
+    except ValueError as error:
+        raise ConfigError(f"network.encoder = {form.encoder!r}: {error}") from None
     try:
         network = make_network(
             scenario,
             form.mu,
             form.hidden_sizes,
+            encoder=form.encoder,
             knows_action_cost=form.knows_action_cost,
             off_diagonal=form.off_diagonal,
         )
@@ -97,6 +104,7 @@ def start_network(config: TrainingConfig, scenario: Scenario) -> NAFNetwork:
         raise ConfigError(f"initial_checkpoint = {path!r}: {error}") from None
     for name, wanted, found in (
         ("mu", network.mu_name, initial.mu_name),
+        ("encoder", network.encoder_name, initial.encoder_name),
         ("hidden_sizes", network.hidden_sizes, initial.hidden_sizes),
         ("knows_action_cost", network.has_action_costs, initial.has_action_costs),
         ("off_diagonal", network.off_diagonal, initial.off_diagonal),

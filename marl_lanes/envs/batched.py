@@ -68,8 +68,8 @@ class LaneChangeEnv(EnvBase):
 
     The group ``changers`` has A = ``num_slots`` slots; a command occupies a slot until it ends:
 
-    - ``observation`` (E, A, F) float32: the scenario's features; zeros in an absent slot; the last
-      features in ``next`` of an agent that has just ended.
+    - ``observation`` (E, A, F) float32: the columns of ``CHANGER.seen(scenario)``; zeros in an
+      absent slot; the last observation in ``next`` of an agent that has just ended.
     - ``action`` (E, A, D) float32: yaw acceleration [rad/s^2] in the maneuver frame and, if the
       scenario has a second action, longitudinal acceleration [m/s^2]; used where ``acting``,
       clipped.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tensordict.nn import TensorDictModule
 
 from marl_lanes.files import open_regular, write_atomically
+from marl_lanes.naf.encoder import make_encoder
 from marl_lanes.naf.layers import ActionBox
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.zoo.index import PREFIX, ZooError, find_file
@@ -220,7 +221,8 @@ def _check_config(config: Mapping[str, Any], weights: Mapping[str, Any]) -> None
         parts = value if isinstance(value, list | tuple) else [value]
         if not all(part is None or isinstance(part, str | int | float) for part in parts):
             raise TypeError(f"config.{name}: must be a plain value or a list of them")
-    widths = [len(config["features"]), *config["hidden_sizes"]]
+    encoder = make_encoder(config.get("encoder", "none"), config["features"])
+    widths = [len(encoder.outputs), *config["hidden_sizes"]]
     needed = sum(max(1, before * after) for before, after in pairwise(widths))
     stored = sum(weight.untyped_storage().nbytes() // 4 for weight in weights.values())
     if needed > stored:

@@ -1,6 +1,7 @@
 """The quadratic Q-function of normalized advantage functions."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import torch
@@ -9,6 +10,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
+from marl_lanes.naf.encoder import make_encoder
 from marl_lanes.naf.layers import ActionBox, Heads
 from marl_lanes.naf.mu import make_mu
 
@@ -30,7 +32,7 @@ class NAFNetwork(TensorDictModuleBase):
 
     L is lower triangular with an exponential diagonal. M acts on actions in units of the box's
     half-range and is therefore unit-free. Three separate (groups of) tanh networks give mu, L's
-    entries and V, each from the normalized observation.
+    entries and V, each from what the encoder makes of the normalized observation.
 
     `forward` writes
 
@@ -49,6 +51,8 @@ class NAFNetwork(TensorDictModuleBase):
             Eq. 7) or "damped" (three placed poles). For two actions: one of
             these with "+idm" (car following and a correction) or "+mlp" for the second action.
             "mlp" for any number.
+        encoder: "none", "gru" for stacked observations (`GRUEncoder`), or "grid" for an occupancy
+            grid (`GridEncoder`).
         hidden_sizes: widths of the hidden layers of every network.
         offsets: observation offsets, one per feature, in its unit; zeros by default.
         scales: observation scales, one per feature, positive, in its unit; ones by default.
@@ -69,8 +73,8 @@ class NAFNetwork(TensorDictModuleBase):
             updaters would not see these parameters: they list the parameters once, when built.
 
     Raises:
-        ValueError: mu's name is unknown, a feature that it needs is missing, mu does not fit the
-            number of actions, or lengths, bounds or scales are inconsistent.
+        ValueError: the name of mu or of the encoder is unknown, a feature that it needs is missing,
+            mu does not fit the number of actions, or lengths, bounds or scales are inconsistent.
 
     Source: Eq. 5; Gu et al. 2016, "Continuous Deep Q-Learning with Model-based Acceleration".
 
@@ -94,6 +98,7 @@ class NAFNetwork(TensorDictModuleBase):
         action_high: Sequence[float] | Tensor,
         *,
         mu: str = "cascade",
+        encoder: str = "none",
         hidden_sizes: Sequence[int] = (64, 64),
         offsets: Sequence[float] | Tensor | None = None,
         scales: Sequence[float] | Tensor | None = None,
@@ -116,6 +121,7 @@ class NAFNetwork(TensorDictModuleBase):
         self.action_value_key = action_value_key
         self.features = list(features)
         self.mu_name = mu
+        self.encoder_name = encoder
         self.mu_frozen = False
         self.hidden_sizes = list(hidden_sizes)
 
@@ -123,13 +129,15 @@ class NAFNetwork(TensorDictModuleBase):
         self.action_costs = _checked_costs(action_costs, self.action_dim)
         self.has_action_costs = any(self.action_costs)
         self.normalise = Normaliser(self.features, offsets, scales)
-        self.mu = make_mu(mu, self.features, self.box, self.hidden_sizes)
+        self.encoder = make_encoder(encoder, self.features)
+        inputs = self.encoder.outputs
+        self.mu = make_mu(mu, inputs, self.box, self.hidden_sizes)
         self.off_diagonal = off_diagonal
         actions = self.action_dim
         num_ratios = actions * (actions - 1) // 2 if off_diagonal else 0
         logits = [INITIAL_LOG_DIAGONAL] * actions + [0.0] * num_ratios
-        self.factor_logits = Heads(len(self.features), self.hidden_sizes, [logits])
-        self.value = Heads(len(self.features), self.hidden_sizes, [[0.0]])
+        self.factor_logits = Heads(len(inputs), self.hidden_sizes, [logits])
+        self.value = Heads(len(inputs), self.hidden_sizes, [[0.0]])
 
     @property
     def action_dim(self) -> int:
@@ -144,6 +152,7 @@ class NAFNetwork(TensorDictModuleBase):
             "action_low": self.box.low.tolist(),
             "action_high": self.box.high.tolist(),
             "mu": self.mu_name,
+            "encoder": self.encoder_name,
             "hidden_sizes": list(self.hidden_sizes),
             "offsets": self.normalise.offset.tolist(),
             "scales": self.normalise.scale.tolist(),
@@ -167,7 +176,7 @@ class NAFNetwork(TensorDictModuleBase):
         """
         observation = tensordict.get(self.observation_key)
         action = tensordict.get(self.action_key, default=None)
-        normalised = self.normalise(observation)
+        normalised = self._encode(observation)
         mu, slope = self._mu(observation, normalised)
         value = self.value(normalised)
         tensordict.set(self.greedy_action_key, self.box(mu))
@@ -189,7 +198,7 @@ class NAFNetwork(TensorDictModuleBase):
         Returns:
             state-action values, (..., 1).
         """
-        normalised = self.normalise(observation)
+        normalised = self._encode(observation)
         mu, slope = self._mu(observation, normalised)
         penalty = self._penalty(self._factor(normalised), mu, slope, action)
         value: Tensor = self.value(normalised)
@@ -208,19 +217,19 @@ class NAFNetwork(TensorDictModuleBase):
         """
         if self._mu_inside_box:
             values = None if params is None else params.get("value")
-            value: Tensor = self.value(self.normalise(observation), values)
+            value: Tensor = self.value(self._encode(observation, params), values)
             return value
         if params is not None:
             with params.to_module(self, preserve_module_state=False):
                 return self.max_value(observation)
-        normalised = self.normalise(observation)
+        normalised = self._encode(observation)
         mu, slope = self._mu(observation, normalised)
         value = self.value(normalised)
         return value - self._clipping(normalised, mu, slope, None)
 
     def cholesky(self, observation: Tensor) -> Tensor:
         """L of M = -L L^T, in units of the box's half-range, (..., action_dim, action_dim)."""
-        factor = self._factor(self.normalise(observation))
+        factor = self._factor(self._encode(observation))
         return factor.unsqueeze(-1) if self.action_dim == 1 else factor
 
     def policy(
@@ -236,7 +245,7 @@ class NAFNetwork(TensorDictModuleBase):
             a module which shares mu's parameters with this network.
         """
         return TensorDictModule(
-            _Greedy(self.normalise, self.mu, self.box),
+            _Greedy(self.normalise, self.encoder, self.mu, self.box),
             in_keys=[self.observation_key if observation_key is None else observation_key],
             out_keys=[self.action_key if action_key is None else action_key],
         )
@@ -244,6 +253,15 @@ class NAFNetwork(TensorDictModuleBase):
     @property
     def _mu_inside_box(self) -> bool:
         return getattr(self.mu, "inside_box", False)
+
+    def _encode(self, observation: Tensor, params: TensorDictBase | None = None) -> Tensor:
+        """What V, M and mu see of an observation; `params` as for `max_value`."""
+        normalised = self.normalise(observation)
+        values = None if params is None else params.get("encoder", None)
+        context = nullcontext() if values is None else values.to_module(self.encoder)
+        with context:
+            encoded: Tensor = self.encoder(normalised)
+        return encoded
 
     def _mu(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
         """Mu and the slope of the actions' cost at mu, without a gradient if mu is frozen."""
@@ -363,12 +381,16 @@ class Normaliser(nn.Module):
 
 
 class _Greedy(nn.Module):
-    def __init__(self, normalise: Normaliser, mu: nn.Module, box: ActionBox) -> None:
+    def __init__(
+        self, normalise: Normaliser, encoder: nn.Module, mu: nn.Module, box: ActionBox
+    ) -> None:
         super().__init__()
         self.normalise = normalise
+        self.encoder = encoder
         self.mu = mu
         self.box = box
 
     def forward(self, observation: Tensor) -> Tensor:
-        action: Tensor = self.box(self.mu(observation, self.normalise(observation)))
+        encoded = self.encoder(self.normalise(observation))
+        action: Tensor = self.box(self.mu(observation, encoded))
         return action

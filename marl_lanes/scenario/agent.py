@@ -4,7 +4,7 @@ from typing import Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
-from marl_lanes.scenario.fields import Positive, Section, Weight
+from marl_lanes.scenario.fields import Count, Positive, Section, Weight
 
 
 class Completion(Section):
@@ -90,6 +90,27 @@ PAPER_FEATURES: tuple[FeatureName, ...] = (
 )
 
 
+class Grid(Section):
+    """The occupancy grid around an agent: lanes beside each other, each divided into stretches."""
+
+    num_lanes: Count = Field(
+        3,
+        ge=1,
+        le=7,
+        description="lanes, the origin lane in the middle [count], 1 to 7, odd",
+    )
+    num_stretches: Count = Field(
+        20, ge=2, le=60, description="stretches of each lane, half of them ahead [count], 2 to 60"
+    )
+    stretch: Positive = Field(5.0, ge=1.0, le=50.0, description="length of a stretch [m], 1 to 50")
+
+    @model_validator(mode="after")
+    def _check_middle(self) -> Self:
+        if self.num_lanes % 2 == 0:
+            raise ValueError(f"num_lanes = {self.num_lanes}: must be odd")
+        return self
+
+
 class Observation(Section):
     """What an agent observes."""
 
@@ -98,6 +119,16 @@ class Observation(Section):
         min_length=1,
         max_length=len(get_args(FeatureName)),
         description="feature names in order [list], no duplicates",
+    )
+    grid: Grid | None = Field(
+        None, description="an occupancy grid beside the features [section], null for none"
+    )
+    num_stacked: Count = Field(
+        1,
+        ge=1,
+        le=64,
+        description="observations that it sees, the newest first: this step's and those of the "
+        "steps before [count], 1 to 64",
     )
     sensor_range: Positive = Field(
         200.0,

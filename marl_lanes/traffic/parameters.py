@@ -78,6 +78,10 @@ CONSTANTS: Table = (
     ("longitudinal_max_braking", "f8", "m/s^2", "bound of the second action"),
     ("longitudinal_max_speed", "f8", "m/s", ""),
     ("sensor_range", "f8", "m", ""),
+    ("num_stacked", "i8", "1", "observations that a changer sees"),
+    ("grid_lanes", "i8", "1", "of the occupancy grid, 0 without one"),
+    ("grid_stretches", "i8", "1", ""),
+    ("grid_stretch", "f8", "m", "length of a stretch"),
     ("changer_weights", _kind(CHANGER), "", "of the terms of a changer's reward"),
     ("average_deviation", "f8", "m", "Eq. 12"),
 )
@@ -181,7 +185,7 @@ def _cumulative(shares: list[float]) -> NDArray[np.float64]:
 def _make_constants(scenario: Scenario) -> Records:
     completion, departures = scenario.completion, scenario.departures
     external, names = scenario.followers.external, scenario.followers.external_names
-    longitudinal = scenario.action.longitudinal
+    longitudinal, grid = scenario.action.longitudinal, scenario.observation.grid
     values: dict[str, float | list[float]] = {
         "time_step": scenario.time_step,
         "road_length": scenario.road.length,
@@ -239,6 +243,10 @@ def _make_constants(scenario: Scenario) -> Records:
         "longitudinal_max_braking": longitudinal.max_braking if longitudinal else 0.0,
         "longitudinal_max_speed": longitudinal.max_speed if longitudinal else 0.0,
         "sensor_range": scenario.observation.sensor_range,
+        "num_stacked": scenario.observation.num_stacked,
+        "grid_lanes": grid.num_lanes if grid else 0,
+        "grid_stretches": grid.num_stretches if grid else 0,
+        "grid_stretch": grid.stretch if grid else 0.0,
         "changer_weights": CHANGER.weights(scenario),
         "average_deviation": scenario.reward.average_deviation,
     }

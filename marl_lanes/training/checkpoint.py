@@ -36,6 +36,7 @@ def make_network(
     hidden_sizes: Sequence[int] = _HIDDEN_SIZES,
     *,
     role: Role = CHANGER,
+    encoder: str = "none",
     knows_action_cost: bool = True,
     off_diagonal: bool = True,
 ) -> NAFNetwork:
@@ -46,6 +47,7 @@ def make_network(
         mu: structure of mu; of followers ``mlp``.
         hidden_sizes: widths of the hidden layers of each network.
         role: of the agents.
+        encoder: ``none``, ``gru`` if the scenario stacks observations, ``grid`` if it has a grid.
         knows_action_cost: where mu can say exactly 0 (cascade), whether Q has the reward's own cost
             of the yaw acceleration in it; otherwise it is a plain parabola.
         off_diagonal: whether M of two actions is a full matrix.
@@ -55,7 +57,12 @@ def make_network(
     if knows_action_cost and mu.startswith("cascade"):
         costs[0] = scenario.reward.yaw_acceleration_weight
     return NAFNetwork(
-        **form, mu=mu, hidden_sizes=hidden_sizes, action_costs=costs, off_diagonal=off_diagonal
+        **form,
+        mu=mu,
+        encoder=encoder,
+        hidden_sizes=hidden_sizes,
+        action_costs=costs,
+        off_diagonal=off_diagonal,
     )
 
 

@@ -164,6 +164,8 @@ recipe@loss=paper ; recipe@loss=paper
 collector=cloud ; collector = 'cloud'
 collector.kind=cloud ; 'cloud'
 network.mu=wild ; network.mu = 'wild'
+network.encoder=lstm ; network.encoder = 'lstm'
+network.encoder=gru ; network.encoder = 'gru'
 network.mu=cascade+idm ; network.mu = 'cascade+idm'
 recipe=fast scenario=interactive ; network.mu = 'cascade'
 recipe=interactive scenario=paper ; network.mu = 'cascade+idm'

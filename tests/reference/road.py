@@ -60,6 +60,10 @@ class Road(Roles):
             car.agent.num_aborts = int(row["num_aborts"])
             car.agent.steering_steps = int(row["steering_steps"])
             car.agent.episode_reward = float(row["episode_reward"])
+            seen = state.observations[env, slot].reshape(road.scenario.observation.num_stacked, -1)
+            for steps, values in enumerate(seen.tolist()):
+                names = [f"{name}@{steps}" if steps else name for name in road.columns]
+                car.agent.observation |= dict(zip(names, values, strict=True))
             follower = by_slot.get(int(row["target_follower"]))
             car.agent.neighbors["target_follower"] = follower
             behind = state.followers[env, slot]

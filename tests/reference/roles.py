@@ -134,11 +134,43 @@ class Roles(Driving):
             agent.neighbors[f"{prefix}leader"] = self.ahead(agent.car, is_there)
             agent.neighbors[f"{prefix}follower"] = self.behind(agent.car, is_there)
 
+    @property
+    def columns(self):
+        """Names of what is observed in one step."""
+        observation = self.scenario.observation
+        names, grid = list(observation.features), observation.grid
+        for kind in ("occupied", "cell_speed") if grid else ():
+            for lane in range(grid.num_lanes):
+                names += [f"{kind}_{lane}_{stretch}" for stretch in range(grid.num_stretches)]
+        return names
+
+    def grid(self, agent):
+        """The cells of the occupancy grid by name, each looked at by itself."""
+        seen, size, length = {}, self.scenario.observation.grid, self.scenario.vehicle.length
+        for lane in range(size.num_lanes) if size else ():
+            place = agent.origin + agent.direction * (lane - size.num_lanes // 2)
+            for stretch in range(size.num_stretches):
+                rear = agent.car.position + (stretch - size.num_stretches / 2) * size.stretch
+                bodies = [
+                    car
+                    for car in self.cars
+                    if car is not agent.car
+                    and place in self.lanes_of(car)
+                    and car.position + length / 2 >= rear
+                    and car.position - length / 2 < rear + size.stretch
+                ]
+                # Of several the one furthest behind.
+                faster = bodies[-1].speed - agent.car.speed if bodies else 0.0
+                seen[f"occupied_{lane}_{stretch}"] = 1.0 if bodies else 0.0
+                seen[f"cell_speed_{lane}_{stretch}"] = faster
+        return seen
+
     def look(self, agent):
-        """Find the neighbors, and set every feature by name."""
+        """Find the neighbors, and set every feature by name; keep those of the steps before."""
         self.find_neighbors(agent)
         car, sign = agent.car, agent.direction
-        seen = agent.observation
+        before, seen = agent.observation, {}
+        agent.observation = seen
         seen["speed"], seen["acceleration"] = car.speed, car.acceleration
         seen["lateral_deviation"] = self.deviation(agent)
         seen["lateral_speed"] = sign * car.speed * math.sin(car.yaw)
@@ -158,3 +190,8 @@ class Roles(Driving):
                 seen[f"{name}_relative_speed"] = other.speed - car.speed
         for name, value in seen.items():
             seen[name] = clip(name, value)
+        seen |= self.grid(agent)
+        for name in self.columns:
+            for steps in range(1, self.scenario.observation.num_stacked):
+                source = name if steps == 1 else f"{name}@{steps - 1}"
+                seen[f"{name}@{steps}"] = before.get(source, seen[name])

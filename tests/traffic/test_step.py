@@ -22,6 +22,12 @@ from marl_lanes.scenario import list_scenarios
 from marl_lanes.traffic.machine.state import Disposition
 from marl_lanes.traffic.simulator import Simulator
 
+STACKED = {**EVERY_FEATURE, "num_stacked": 3}
+GRIDDED = {
+    "features": ["speed"],
+    "num_stacked": 2,
+    "grid": {"num_lanes": 5, "num_stretches": 7, "stretch": 6.0},
+}
 MIXED = {
     "drivers": {"mix": {"normal": 1.0, "aggressive": 1.0, "defensive": 1.0}},
     "followers": {"mix": {"cooperative": 1.0, "neutral": 1.0, "adversarial": 1.0}},
@@ -107,7 +113,7 @@ CASES = {
     ),
     "seeking": Case(
         "dense",
-        {**MIXED, "followers": {"mix": {"adversarial": 1.0}}},
+        {**MIXED, "followers": {"mix": {"adversarial": 1.0}}, "observation": STACKED},
         250,
         meets=("WAITING", "ABORTING", "COMPLETED"),
     ),
@@ -117,7 +123,14 @@ CASES = {
         100,
         meets=("WAITING", "ENGAGED"),
     ),
-    "busy": Case("paper", BUSY, 100, meets=("WAITING", "ENGAGED")),
+    "gridded": Case(
+        "paper",
+        {**BUSY, "action": {"longitudinal": {}}, "observation": GRIDDED},
+        60,
+        noise=0.3,
+        meets=("WAITING", "ENGAGED"),
+    ),
+    "busy": Case("paper", BUSY | {"observation": STACKED}, 100, meets=("WAITING", "ENGAGED")),
     "guard": Case(
         "paper",
         BUSY

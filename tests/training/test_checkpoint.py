@@ -7,7 +7,7 @@ from checkpoints import LONGITUDINAL, PAPER, trained
 
 from marl_lanes import load_scenario
 from marl_lanes.envs.followers import load_follower
-from marl_lanes.naf.checkpoint import CheckpointError, greedy_policy
+from marl_lanes.naf.checkpoint import FORMAT, CheckpointError, greedy_policy, write_archive
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
@@ -44,6 +44,28 @@ def test_a_saved_policy_acts_as_before(tmp_path, mu):
     other = greedy_policy(make_network(PAPER, mu, [8, 4]))(states())
     assert not np.array_equal(other, expected)
     assert [entry.name for entry in file.parent.iterdir()] == ["policy.pt"]
+
+
+def test_a_policy_with_a_memory_acts_as_before_and_fits_its_scenario_alone(tmp_path):
+    stacked = load_scenario("paper", {"observation": {"num_stacked": 40}})
+    file = tmp_path / "p.pt"
+    network = make_network(stacked, "mlp", [64, 64], encoder="gru")
+    save_checkpoint(file, network, "paper", 1)
+    found = load_checkpoint(file, stacked).network
+    seen = np.tile(states(), (1, 40))
+    assert np.array_equal(greedy_policy(found)(seen), greedy_policy(network)(seen))
+    with pytest.raises(CheckpointError, match="speed@2"):
+        load_checkpoint(file, PAPER)
+
+
+def test_a_checkpoint_from_before_there_were_encoders_has_none(tmp_path):
+    network = trained()
+    config = {key: value for key, value in network.config.items() if key != "encoder"}
+    content = {"format": FORMAT, "config": config, "weights": network.state_dict()}
+    write_archive(tmp_path / "p.pt", content | {"scenario": "paper", "transitions": 0})
+    found = load_checkpoint(tmp_path / "p.pt", PAPER).network
+    assert found.encoder_name == "none"
+    assert np.array_equal(greedy_policy(found)(states()), greedy_policy(network)(states()))
 
 
 def test_any_bound_that_fits_is_taken(tmp_path):

@@ -14,6 +14,7 @@ from marl_lanes.traffic.driving.acceleration import car_following
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import AGENT, NONE, Outcome
 from marl_lanes.traffic.road.geometry import curvature_at, wrap_angle
+from marl_lanes.traffic.roles.grid import grid_columns, observe_grid
 from marl_lanes.traffic.roles.role import (
     Dimension,
     Feature,
@@ -238,7 +239,26 @@ TERMS = (
 )
 """The terms of a changer's reward. The first three count while it steers, the others always."""
 
-observe_changer = make_observer(FEATURES)
+_observe_now = make_observer(FEATURES)
+
+
+@internal
+def observe_changer(codes: Any, seen: Any, agent: Any, car: Any, scene: Any) -> None:
+    """Set its newest observation, behind which the earlier ones move on; once in each step.
+
+    At its command the earlier ones are copies of the first.
+    """
+    size = seen.shape[0] // scene.constants.num_stacked
+    for column in range(seen.shape[0] - 1, size - 1, -1):
+        seen[column] = seen[column - size]
+    _observe_now(codes, seen, agent, car, scene)
+    if size > codes.shape[0]:
+        observe_grid(seen[codes.shape[0] : size], agent, car, scene)
+    if agent.born_step == scene.road.step:
+        for column in range(size, seen.shape[0]):
+            seen[column] = seen[column - size]
+
+
 pay_changer = make_payment(TERMS)
 
 
@@ -260,6 +280,8 @@ CHANGER = Role(
     features=FEATURES,
     terms=TERMS,
     see=lambda scenario: scenario.observation.features,
+    beside=grid_columns,
+    stack=lambda scenario: scenario.observation.num_stacked,
     act=_act,
     reward=lambda scenario: scenario.reward,
 )

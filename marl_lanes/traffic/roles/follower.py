@@ -169,6 +169,8 @@ FOLLOWER = Role(
     features=FEATURES,
     terms=TERMS,
     see=lambda _: [feature.name for feature in FEATURES],
+    beside=lambda _: (),
+    stack=lambda _: 1,
     act=_act,
     reward=lambda scenario: scenario.followers.learned.reward,
 )

@@ -24,7 +24,7 @@ Bounds = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Lowest and highest values, two (n,) float32."""
 
 
-class Feature(NamedTuple):
+class Column(NamedTuple):
     """A column of the observation."""
 
     name: str
@@ -37,8 +37,25 @@ class Feature(NamedTuple):
     """Bounds of the space; a value beyond them is observed as the bound."""
     high: float
     meaning: str
+
+
+class Feature(NamedTuple):
+    """A column that a scenario may name, with its formula; the first fields are those of Column."""
+
+    name: str
+    unit: str
+    offset: float
+    scale: float
+    low: float
+    high: float
+    meaning: str
     formula: Formula
     """Its value; the module of the role names the arguments."""
+
+    @property
+    def column(self) -> Column:
+        """What it is without the formula."""
+        return Column(*self[:-1])
 
 
 class Term(NamedTuple):
@@ -78,6 +95,8 @@ class Role:
         features: all features that they can observe.
         terms: all terms of their reward, in the order of summation.
         see: names of the features that they observe in a scenario, in order.
+        beside: further columns of an observation, behind the features; a kernel sets them at once.
+        stack: how many observations they see there, the newest and those of the steps before.
         act: the dimensions of their action in a scenario.
         reward: the scenario's section with the weights of the terms.
     """
@@ -90,6 +109,8 @@ class Role:
     features: tuple[Feature, ...]
     terms: tuple[Term, ...]
     see: Callable[[Scenario], Sequence[str]]
+    beside: Callable[[Scenario], Sequence[Column]]
+    stack: Callable[[Scenario], int]
     act: Callable[[Scenario], tuple[Dimension, ...]]
     reward: Callable[[Scenario], Section]
 
@@ -108,13 +129,20 @@ class Role:
         return tuple(f"reward_{term.name}" for term in self.terms)
 
     def codes(self, scenario: Scenario) -> NDArray[np.int32]:
-        """Row numbers of the observed features, (F,) int32."""
+        """Row numbers of the features of one observation, int32."""
         rows = {feature.name: row for row, feature in enumerate(self.features)}
         return np.asarray([rows[name] for name in self.see(scenario)], np.int32)
 
-    def seen(self, scenario: Scenario) -> list[Feature]:
-        """The observed features, in order."""
-        return [self.features[code] for code in self.codes(scenario)]
+    def seen(self, scenario: Scenario) -> list[Column]:
+        """The columns of the observation, in order; ``speed@2`` is the speed two steps ago."""
+        now = [self.features[code].column for code in self.codes(scenario)]
+        now += self.beside(scenario)
+        before = [
+            column._replace(name=f"{column.name}@{steps}")
+            for steps in range(1, self.stack(scenario))
+            for column in now
+        ]
+        return now + before
 
     def observation_bounds(self, scenario: Scenario) -> Bounds:
         """Lowest and highest observations, (F,)."""
@@ -141,7 +169,7 @@ def role_named(name: str) -> Role:
     return role
 
 
-def _bounds(rows: Sequence[Feature] | Sequence[Dimension]) -> Bounds:
+def _bounds(rows: Sequence[Column] | Sequence[Dimension]) -> Bounds:
     low = np.asarray([row.low for row in rows], np.float32)
     return low, np.asarray([row.high for row in rows], np.float32)
 

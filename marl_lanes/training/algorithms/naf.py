@@ -52,7 +52,7 @@ class NAFLossConfig(Section):
 
 
 class NAFOptimizerConfig(OffPolicyOptimizerConfig):
-    """Adam for M and V, and for mu; the step sizes fall through stage two."""
+    """Adam for M, V and an encoder, and for mu; the step sizes fall through stage two."""
 
     mu_learning_rate: Magnitude = Field(
         description="step size of mu: smaller, V keeps up with the policy that it has to value"
@@ -84,6 +84,11 @@ class NetworkConfig(Section):
     mu: str = Field(
         description="cascade, cascade-smooth, paper, damped or mlp; with two actions one of the "
         "first four with +idm or +mlp, or mlp"
+    )
+    encoder: Literal["none", "gru", "grid"] = Field(
+        description="what the networks see: none: the observation; gru: the newest of stacked "
+        "observations and the state of a GRU over all of them; grid: the features and a "
+        "convolution of the occupancy grid"
     )
     knows_action_cost: bool = Field(
         description="whether Q has the reward's own cost of the yaw acceleration in it; with mu "
@@ -160,10 +165,11 @@ class NAF(OffPolicy):
         self.policy = self.actor.policy
 
     def _parts(self) -> list[tuple[list[nn.Parameter], float]]:
-        """Parameters that learn together, with their step sizes: M and V first, then mu's."""
+        """Parameters that learn together, with their step sizes: mu's last."""
         network, optimizer = self.network, self.config.optimizer
         mu, rate = network.mu, optimizer.mu_learning_rate
-        critic = [*network.factor_logits.parameters(), *network.value.parameters()]
+        others = (network.factor_logits, network.value, network.encoder)
+        critic = [parameter for part in others for parameter in part.parameters()]
         parts = [(critic, optimizer.learning_rate)]
         longitudinal = optimizer.longitudinal_learning_rate
         if longitudinal is None or not isinstance(mu, ComposedMu):

@@ -145,3 +145,31 @@ def test_features_are_relative_to_the_maneuver(direction):
     seen = dict(zip(names, simulator.state.observations[0, agent].tolist(), strict=True))
     del seen["car_following_acceleration"]
     assert seen == pytest.approx(wanted, rel=1e-6, abs=1e-7)
+
+
+def test_an_agent_sees_its_own_last_observations_newest_first():
+    """Also in a slot that another agent had just before, and in the step that ends it."""
+    crowd = {"command": {"probability": 1.0}, "num_slots": 2, "num_agents": None, "horizon": None}
+    crowd["road"] = {"length": 250.0}
+    crowd["observation"] = {"features": ["speed", "time", "phase"], "num_stacked": 3}
+    simulator = Simulator("hidden", 2, seed=1, overrides=crowd)
+    simulator.reset()
+    kept, num_reused, num_ended = {}, 0, 0
+    for _ in range(300):
+        had_agent = simulator.agents["command"].copy()
+        simulator.step()
+        seen = simulator.state.observations.reshape(2, 2, 3, 3)
+        for road, slot in np.ndindex(2, 2):
+            agent = simulator.agents[road, slot]
+            if agent["vehicle"] < 0:
+                assert not seen[road, slot].any()
+                continue
+            key = road, int(agent["command"])
+            num_reused += key not in kept and had_agent[road, slot] >= 0
+            num_ended += int(agent["outcome"]) > 0
+            history = kept.setdefault(key, [])
+            history.insert(0, seen[road, slot, 0].tolist())
+            padded = [*history, *[history[-1]] * 2][:3]
+            assert seen[road, slot].tolist() == padded
+    assert num_reused > 2
+    assert num_ended > 4

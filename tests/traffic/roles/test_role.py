@@ -46,6 +46,17 @@ def test_bounds_and_codes_are_those_of_the_scenario():
     assert (low.tolist(), high.tolist()) == ([-3.0], [3.0])
 
 
+def test_stacked_observations_have_the_columns_of_one_each():
+    fields = {"features": ["yaw", "speed"], "num_stacked": 3}
+    scenario = load_scenario("paper", {"observation": fields})
+    names = ["yaw", "speed", "yaw@1", "speed@1", "yaw@2", "speed@2"]
+    assert [feature.name for feature in CHANGER.seen(scenario)] == names
+    assert CHANGER.codes(scenario).tolist() == [4, 0]
+    low, high = CHANGER.observation_bounds(scenario)
+    assert low.reshape(3, 2).tolist() == [low[:2].tolist()] * 3
+    assert high.tolist() == [np.float32(np.pi), 150.0] * 3
+
+
 def feature(name, formula, high=100.0):
     return Feature(name, "1", 0.0, 1.0, -1.0, high, "", formula)
 

@@ -2,7 +2,13 @@
 
 import pytest
 import torch
-from learners import filled, weights_of
+from collecting import BUSY
+from learners import filled, tiny, weights_of
+from tensordict import TensorDict
+
+from marl_lanes import LaneChangeEnv
+from marl_lanes.training.algorithms.naf import NAF
+from marl_lanes.training.checkpoint import make_network
 
 torch.set_num_threads(1)
 pytestmark = [
@@ -52,6 +58,27 @@ def test_the_frozen_mu_of_stage_one_begins_as_new_in_stage_two(tmp_path):
     assert first["mu"] == 0.0
     # Adam's first step is the rate, its later ones after zero gradients would be larger.
     assert second["mu"] == pytest.approx(2e-4, rel=1e-2)
+
+
+def test_an_encoder_learns_with_v_in_both_stages():
+    overrides = BUSY | {"observation": {"num_stacked": 2}}
+    env = LaneChangeEnv("paper", 1, overrides=overrides, seed=0)
+    torch.manual_seed(0)
+    network = make_network(env.scenario, "cascade", [8], encoder="gru")
+    algorithm = NAF(tiny("optimizer.pretraining_transitions=100"), env, network)
+    rows = TensorDict({"observation": torch.randn(16, 12), "action": torch.zeros(16, 1)}, [16])
+    ends = torch.zeros(16, 1, dtype=torch.bool)
+    rows["next"] = TensorDict(
+        {"observation": torch.randn(16, 12), "reward": torch.ones(16, 1)}, [16]
+    )
+    rows["next"].update({"done": ends, "terminated": ends})
+    for transitions in (0, 200):
+        algorithm.anneal(transitions)
+        before = [weight.clone() for weight in network.encoder.parameters()]
+        algorithm.take_step(rows, 1)
+        after = network.encoder.parameters()
+        assert len(before) == 4
+        assert not any(torch.equal(*pair) for pair in zip(before, after, strict=True))
 
 
 def test_step_sizes_fall_through_stage_two(tmp_path):
