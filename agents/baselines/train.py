@@ -18,8 +18,8 @@ import torch
 from marl_lanes import LaneChangeEnv, Scenario
 from marl_lanes.experiment import run, start
 from marl_lanes.terminal import lenient_streams
-from marl_lanes.training.algorithms.actor_critic import ActorNetwork
 from marl_lanes.traffic.roles.changer import CHANGER
+from marl_lanes.training.algorithms.actor_critic import ActorNetwork
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.algorithms.ddpg import DDPG, DDPGConfig
 from marl_lanes.training.algorithms.ppo import PPO, STATE_SCALES, PPOConfig
