@@ -177,16 +177,17 @@ def report(options: argparse.Namespace, scenarios: Mapping[str, Scenario]) -> No
     for title, draw in (("loss", draw_losses), ("returns", draw_returns), ("models", draw_models)):
         draw(figures / f"reproduction_{title}", folders, stage_one)
     discounts = [row for key, one in scenarios.items() for row in weigh_discounts(key, one)]
-    counts = count_by_time(scenarios[name], config["evaluation"]["num_maneuvers"])
+    number = config["evaluation"]["num_maneuvers"]
+    counts = [row for key, one in scenarios.items() for row in count_by_time(key, one, number)]
+    finals = [
+        {key: one[key] for key in ("scenario", "seed", "gamma", *FINAL)}
+        for one in (*rows, *others)
+        if one["success_rate"] is not None
+    ]
     tables = {
         "statements": tabulate_statements(rows),
         "discounts": format_table(discounts),
-        "gammas": format_table(
-            [
-                {key: one[key] for key in ("scenario", "seed", "gamma", *FINAL)}
-                for one in (*rows, *others)
-            ]
-        ),
+        "gammas": format_table(finals) if finals else "No training has come to its end.\n",
         "maneuvers": format_table(counts),
     }
     rows += others
@@ -262,10 +263,10 @@ def make_program(scenario: Scenario, speed: float, gamma: float) -> Program:
     bounds[LATERAL_SPEED] = completion.max_lateral_speed or np.inf
     bounds[YAW_RATE] = completion.max_yaw_rate or np.inf
     bound = scenario.action.max_yaw_acceleration
-    return Program(free, response, bounds, bound, scenario.reward, gamma)
+    return Program(free, response, bounds, bound, scenario.reward, gamma=gamma)
 
 
-def count_by_time(scenario: Scenario, num_maneuvers: int) -> Rows:
+def count_by_time(name: str, scenario: Scenario, num_maneuvers: int) -> Rows:
     """How many maneuvers 200,000 steps have when mu is Eq. 6 and 7 with constants, by T."""
     features: list[str] = list(scenario.observation.features)
     columns = [features.index(name) for name in PaperMu.needs]
@@ -283,6 +284,7 @@ def count_by_time(scenario: Scenario, num_maneuvers: int) -> Rows:
         found = evaluate(maneuvers, scenario, with_optimum=False)
         rows.append(
             {
+                "scenario": name,
                 "T [s]": time,
                 "steps a maneuver": steps,
                 "maneuvers in 200,000 steps": round(PAPERS_STAGE_ONE / steps),

@@ -107,9 +107,9 @@ def test_some_trainings_alone(program, tmp_path, monkeypatch, capsys):
 
 def test_a_report_of_nothing_is_refused(program, tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
-        run_main(program, tmp_path, "--output", "study", "--report")
+        program.main(["--output", str(tmp_path / "study"), "--report"])
     assert end.value.code == 2
-    assert "'study': must have a training with two saved models" in capsys.readouterr().err
+    assert "study': must have a training with two saved models" in capsys.readouterr().err
     assert not (tmp_path / "study").exists()
 
 
