@@ -44,6 +44,8 @@ TINY = [
     "replay.batch_size=16",
     "optimizer.transitions_per_update=4",
     "optimizer.pretraining_transitions=100",
+    "demonstrations.num_transitions=0",
+    "evaluation.criterion=null",
     "exploration.annealing_transitions=300",
     "evaluation.save_interval=120",
 ]
