@@ -44,6 +44,8 @@ TINY = [
     "replay.batch_size=16",
     "optimizer.transitions_per_update=4",
     "optimizer.pretraining_transitions=100",
+    "demonstrations.num_transitions=0",
+    "evaluation.criterion=null",
     "exploration.annealing_transitions=300",
     "evaluation.save_interval=120",
 ]
@@ -84,7 +86,7 @@ def baseline(name, *options, overrides=BUSY, seed=0, **places):
     kind, algorithm = BASELINES[name]
     absent = [] if name in {"td3", "ddpg"} else ["exploration"]
     absent += ["replay", "optimizer.transitions"] if "ppo" in name else []
-    absent += ["optimizer.pretraining"]
+    absent += ["optimizer.pretraining", "demonstrations"]
     tiny = [option for option in TINY if not option.startswith(tuple(absent))]
     tiny += ["epochs.batch_size=16"] if "ppo" in name else []
     fields = compose_fields(kind, BASELINES_FOLDER, replaced([*tiny, *options]), file=name)

@@ -12,8 +12,9 @@ from functools import partial
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
-from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, load_scenario
+from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
 from marl_lanes.evaluation.policies import make_mpc_policy
 from marl_lanes.experiment import run, start
 from marl_lanes.naf.checkpoint import CheckpointError
@@ -68,10 +69,20 @@ def make_algorithm(
     network = start_network(config, scenario)
     # A run that is resumed has weights of its own.
     if config.demonstrations.num_transitions and config.resume is None:
-        expert = make_mpc_policy(env.scenario)
-        shown = collect_demonstrations(env.scenario, expert, config.demonstrations, config.seed)
-        imitate(network, *shown, config.demonstrations)
+        imitate(network, *demonstrate(config, env.scenario), config.demonstrations)
     return NAF(config, env, network, device=device, acting_device=acting_device)
+
+
+def demonstrate(config: TrainingConfig, scenario: Scenario) -> tuple[Tensor, Tensor]:
+    """Transitions of the policy mpc: what it saw, and what it did."""
+    number = config.demonstrations.num_transitions
+    try:
+        expert = make_mpc_policy(scenario)
+    except ScenarioError as error:
+        raise ConfigError(
+            f"demonstrations.num_transitions = {number}: must be 0: {error}"
+        ) from None
+    return collect_demonstrations(scenario, expert, config.demonstrations, config.seed)
 
 
 def start_network(config: TrainingConfig, scenario: Scenario) -> NAFNetwork:
