@@ -1,11 +1,12 @@
 """Train every algorithm with equal budgets; compare it with the others and with no learning at all.
 
 python agents/baselines/compare.py [--output runs/comparison] [--scenario paper] [--seeds 0 1 2]
-    [--algorithms ippo mappo sac td3 ddpg naf] [--policies tuned-cascade]
+    [--algorithms ippo mappo sac td3 ddpg naf naf-scratch] [--policies tuned-cascade]
     [--transitions 150000] [--seconds 60] [--processes 1] [--docs docs/baselines.md] [--quick]
 
 Every algorithm trains once with so many transitions, then with as many as it makes in so many
-seconds at the speed of the first training. The same command goes on after an interruption.
+seconds at the speed of the first training. The same command goes on after an interruption. naf is
+recipe fast, whose demonstrations count among its transitions; naf-scratch has none.
 """
 
 import argparse
@@ -14,12 +15,13 @@ import json
 import timeit
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from math import ceil
+from math import ceil, inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+import yaml
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -35,21 +37,29 @@ from marl_lanes.scenario.messages import shown
 from marl_lanes.studies import Run, carry_out
 from marl_lanes.terminal import lenient_streams
 from marl_lanes.training.command_line import Parser, refusing
+from marl_lanes.training.config import CONFIG_FILE
 from marl_lanes.training.failures import ending
 from marl_lanes.training.run_folder import CHECKPOINTS_FOLDER, FINAL_MODEL, TIMES_FILE
 
-BASELINES = "agents/baselines/train.py"
+BASELINES, NAF = "agents/baselines/train.py", "agents/naf/train.py"
 PROGRAMS: Mapping[str, tuple[str, ...]] = {
     **{name: (BASELINES, name) for name in ("ippo", "mappo", "sac", "td3", "ddpg")},
-    "naf": ("agents/naf/train.py",),
+    "naf": (NAF,),
+    "naf-scratch": (NAF, "demonstrations.num_transitions=0"),
 }
 """By algorithm, the program that trains with it and its first arguments."""
 
 NUM_GLANCES = 10
 """Maneuvers for each of them in the training itself."""
 
-STAGE_ONE = 0.3
+STAGE_ONE = 0.375
 """Share of the transitions in NAF's first stage, as in its recipe fast."""
+
+DEMONSTRATIONS = 20_000
+"""Transitions of an expert before NAF begins, as in its recipe fast."""
+
+DEMONSTRATED = 0.2
+"""[1] Largest share of them in all its transitions."""
 
 GOOD_RATIO, GOOD_SUCCESS = 1.15, 0.98
 """A model counts as good that has this cost ratio at most, and this success rate at least."""
@@ -76,6 +86,7 @@ QUICK_FIELDS = (
     "collector.steps_per_batch=8",
     "training_overrides.warmup=[20.0,30.0]",
 )
+QUICK_NAF = ("demonstrations.num_updates=20",)
 
 COLUMNS = (
     ("success_rate", "success [%]", 100.0, 1),
@@ -143,7 +154,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--policies", nargs="*", metavar="NAME", default=["tuned-cascade"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--transitions", type=int, default=150_000)
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seconds", type=float, default=60.0, help="0: that budget is left out")
     parser.add_argument(
         "--maneuvers", type=int, default=1000, help="for each final model or policy"
     )
@@ -157,10 +168,12 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         vars(options).update(QUICK)
     if not options.algorithms and not options.policies:
         parser.error("--algorithms, --policies: must name something to compare")
-    for name in ("transitions", "seconds", "maneuvers", "saved_models", "saved_maneuvers"):
+    for name in ("transitions", "maneuvers", "saved_models", "saved_maneuvers"):
         if not getattr(options, name) > 0:
             field = name.replace("_", "-")
             parser.error(f"--{field} = {shown(getattr(options, name))}: must be above 0")
+    if not 0.0 <= options.seconds < inf:
+        parser.error(f"--seconds = {shown(options.seconds)}: must be 0 or more, and finite")
     return options
 
 
@@ -177,12 +190,14 @@ def train(options: argparse.Namespace) -> dict[tuple[str, str], list[Path]] | No
     }
     if not carry_out([*first.values()], options.output, num_processes=options.processes):
         return None
-    second = {
-        member: plan(options, *member, "seconds", count_affordable(options, run.name))
-        for member, run in first.items()
-    }
-    if not carry_out([*second.values()], options.output, num_processes=options.processes):
-        return None
+    second = {}
+    if options.seconds:
+        second = {
+            member: plan(options, *member, "seconds", count_affordable(options, member[0], run))
+            for member, run in first.items()
+        }
+        if not carry_out([*second.values()], options.output, num_processes=options.processes):
+            return None
     found: dict[tuple[str, str], list[Path]] = {}
     for name, runs in ((budget, first), (f"{options.seconds:g} s", second)):
         for (algorithm, _), run in runs.items():
@@ -193,8 +208,10 @@ def train(options: argparse.Namespace) -> dict[tuple[str, str], list[Path]] | No
 def plan(
     options: argparse.Namespace, algorithm: str, seed: int, budget: str, transitions: int
 ) -> Run:
-    """A training with so many transitions; whatever falls, falls over all of them."""
+    """A training with so many transitions; whatever falls, falls over all that it collects."""
     program, *first = PROGRAMS[algorithm]
+    demonstrations = count_demonstrations(algorithm, transitions)
+    transitions -= demonstrations
     fields = {
         "scenario": options.scenario,
         "seed": seed,
@@ -204,21 +221,37 @@ def plan(
         "evaluation.num_maneuvers": NUM_GLANCES,
         "evaluation.final_num_maneuvers": NUM_GLANCES,
         "evaluation.record": "false",
+        # Every training ends with its last model, not with the best that it saved.
+        "evaluation.criterion": "null",
     }
-    if algorithm == "naf":
+    if demonstrations:
+        fields["demonstrations.num_transitions"] = demonstrations
+    if program == NAF:
         fields["optimizer.pretraining_transitions"] = round(STAGE_ONE * transitions)
         fields["exploration.annealing_transitions"] = transitions
     given = [f"{name}={value}" for name, value in fields.items()]
     quick = [*QUICK_FIELDS] if options.quick else []
     if options.quick and algorithm not in {"ippo", "mappo"}:
         quick.append("replay.warmup_transitions=32")
+    if options.quick and program == NAF:
+        quick.extend(QUICK_NAF)
     return Run(f"{algorithm}-{budget}-{seed}", program, (*first, *given, *quick))
 
 
-def count_affordable(options: argparse.Namespace, name: str) -> int:
-    """Transitions in the budget of seconds at the speed of a training, without its evaluations."""
-    seconds = read(options.output / name / TIMES_FILE)["seconds_training"]
-    return max(100, int(round(options.seconds * options.transitions / seconds, -2)))
+def count_demonstrations(algorithm: str, transitions: int) -> int:
+    """How many of its transitions an algorithm gets from an expert."""
+    return min(DEMONSTRATIONS, int(DEMONSTRATED * transitions)) if algorithm == "naf" else 0
+
+
+def count_affordable(options: argparse.Namespace, algorithm: str, first: Run) -> int:
+    """Transitions in the budget of seconds at the speed of the first training.
+
+    Neither its evaluations nor its demonstrations count as time.
+    """
+    seconds = read(options.output / first.name / TIMES_FILE)["seconds_training"]
+    demonstrated = count_demonstrations(algorithm, options.transitions)
+    collected = options.seconds * (options.transitions - demonstrated) / seconds
+    return demonstrated + max(100, int(round(collected, -2)))
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -235,15 +268,17 @@ def measure_run(folder: Path, scenario: Scenario, options: argparse.Namespace) -
     checkpoints = folder / CHECKPOINTS_FOLDER
     final = make_policy(str(checkpoints / FINAL_MODEL), scenario, SEED)
     found = measure(final, scenario, options)
+    config = yaml.safe_load((folder / CONFIG_FILE).read_text(encoding="utf-8"))
+    demonstrated = config.get("demonstrations", {"num_transitions": 0})["num_transitions"]
     found["transitions_to_good"] = None
     for saved in sorted(checkpoints.glob("step_*.pt")):
         policy = make_policy(str(saved), scenario, SEED)
         if is_good(drive(policy, scenario, options.saved_maneuvers, SEED + 1)):
-            found["transitions_to_good"] = int(saved.stem.removeprefix("step_"))
+            found["transitions_to_good"] = int(saved.stem.removeprefix("step_")) + demonstrated
             break
     found["training_seconds"] = read(folder / TIMES_FILE)["seconds_training"]
     with (folder / "metrics.csv").open(newline="", encoding="utf-8") as file:
-        found["transitions"] = int([*csv.DictReader(file)][-1]["transitions"])
+        found["transitions"] = int([*csv.DictReader(file)][-1]["transitions"]) + demonstrated
     write_json(path, found)
     return found
 

@@ -35,6 +35,9 @@ def pretend(runs, folder, *, num_processes):
             network = make_actor_network(scenario, [4])
             save_checkpoint(path / "checkpoints" / name, network, scenario.name, count)
         write_json(path / "training.json", {"seconds_training": 0.05})
+        demonstrated = given.get("demonstrations.num_transitions", 0)
+        text = f"demonstrations: {{num_transitions: {demonstrated}}}\n"
+        (path / "config.yaml").write_text(text, "utf-8")
         (path / "metrics.csv").write_text(f"transitions,loss\n5,1.0\n{count + 9},0.5\n", "utf-8")
     return True
 
@@ -79,6 +82,18 @@ def test_a_comparison_of_two_budgets_and_a_policy(program, tmp_path, monkeypatch
     assert again.splitlines()[-2:] == out.splitlines()[-2:]
 
 
+def test_without_seconds_there_is_one_budget(program, tmp_path, monkeypatch):
+    monkeypatch.setattr(program, "carry_out", pretend)
+    options = ["--output", str(tmp_path), "--seeds", "0", "--algorithms", "naf", "ippo"]
+    arguments = program.parse([*options, "--transitions", "1000", "--seconds", "0"])
+    found = program.train(arguments)
+    assert [*found] == [("naf", "1000 transitions"), ("ippo", "1000 transitions")]
+    # A minute for the 800 that were collected in 0.05 s, and again as many demonstrations.
+    run = program.plan(arguments, "naf", 0, "transitions", 1000)
+    arguments.seconds = 60.0
+    assert program.count_affordable(arguments, "naf", run) == 200 + 960_000
+
+
 def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatch):
     """A low cost of the few changes that are completed is none."""
     scenario = load_scenario("paper")
@@ -100,12 +115,15 @@ def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatc
         (tmp_path / "checkpoints" / f"{name}.pt").touch()
     write_json(tmp_path / "training.json", {"seconds_training": 3.0})
     (tmp_path / "metrics.csv").write_text("transitions\n250\n", "utf-8")
+    # Those of the demonstrations count, too.
+    text = "demonstrations: {num_transitions: 50}\n"
+    (tmp_path / "config.yaml").write_text(text, "utf-8")
     result = program.measure_run(tmp_path, scenario, options)
     assert result == {
         "maneuvers": {},
-        "transitions_to_good": 200,
+        "transitions_to_good": 250,
         "training_seconds": 3.0,
-        "transitions": 250,
+        "transitions": 300,
     }
     assert len(asked) == 2
     dear = found | {"success_rate": (1.0, 1.0), "return": [-5.0, None]}
@@ -118,18 +136,28 @@ def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatc
 
 def test_whatever_falls_falls_over_the_whole_budget(program):
     options = program.parse([])
-    run = program.plan(options, "naf", 2, "transitions", 50_000)
-    assert (run.name, run.program) == ("naf-transitions-2", "agents/naf/train.py")
+    run = program.plan(options, "naf-scratch", 2, "transitions", 50_000)
+    assert (run.name, run.program) == ("naf-scratch-transitions-2", "agents/naf/train.py")
     assert {
         "seed=2",
+        "demonstrations.num_transitions=0",
         "collector.total_transitions=50000",
         "evaluation.save_interval=5000",
-        "optimizer.pretraining_transitions=15000",
+        "evaluation.criterion=null",
+        "optimizer.pretraining_transitions=18750",
         "exploration.annealing_transitions=50000",
     } <= set(run.arguments)
+    # Demonstrations are a part of the budget.
+    for budget, demonstrated in ((50_000, 10_000), (150_000, 20_000)):
+        run = program.plan(options, "naf", 2, "transitions", budget)
+        assert {
+            f"demonstrations.num_transitions={demonstrated}",
+            f"collector.total_transitions={budget - demonstrated}",
+            f"exploration.annealing_transitions={budget - demonstrated}",
+        } <= set(run.arguments)
     train = load_program(FOLDER / "baselines" / "train.py")
     for algorithm in options.algorithms:
-        if algorithm == "naf":
+        if algorithm.startswith("naf"):
             continue
         run = program.plan(options, algorithm, 0, "transitions", 50_000)
         config = train.read(run.arguments[0], run.arguments[1:])
@@ -142,7 +170,8 @@ def test_whatever_falls_falls_over_the_whole_budget(program):
     ("options", "message"),
     [
         (["--algorithms", "--policies"], "--algorithms, --policies: must name something"),
-        (["--seconds", "0"], "--seconds = 0.0: must be above 0"),
+        (["--seconds", "-1"], "--seconds = -1.0: must be 0 or more"),
+        (["--seconds", "nan"], "--seconds = nan: must be 0 or more"),
         (["--algorithms", "ppo2"], "argument --algorithms: invalid choice: 'ppo2'"),
         (["--policies", "nobody"], "checkpoint nobody: cannot be read"),
         (["--scenario", "nope"], "scenario 'nope': no such scenario"),
