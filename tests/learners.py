@@ -86,7 +86,7 @@ def baseline(name, *options, overrides=BUSY, seed=0, **places):
     kind, algorithm = BASELINES[name]
     absent = [] if name in {"td3", "ddpg"} else ["exploration"]
     absent += ["replay", "optimizer.transitions"] if "ppo" in name else []
-    absent += ["optimizer.pretraining"]
+    absent += ["optimizer.pretraining", "demonstrations"]
     tiny = [option for option in TINY if not option.startswith(tuple(absent))]
     tiny += ["epochs.batch_size=16"] if "ppo" in name else []
     fields = compose_fields(kind, BASELINES_FOLDER, replaced([*tiny, *options]), file=name)

@@ -211,6 +211,7 @@ def measure(folder: Path) -> Row:
     return {
         "success_rate": final["success_rate"],
         "cost_ratio": final["cost_ratio"],
+        "last_cost_ratio": float(ratio[-1]),
         "untrained_success_rate": start["success_rate"],
         "untrained_cost_ratio": start["cost_ratio"],
         **{
@@ -265,6 +266,7 @@ def tabulate(name: str, rows: Sequence[Row], options: argparse.Namespace) -> Row
         "success [%]": format_estimate(vars(estimate_mean(success, roads, is_rate=True)), 100.0, 1),
         "lowest of a saved model [%]": spread(rows, "lowest_success_rate", 100.0, 0),
         "cost ratio": spread(rows, "cost_ratio", 1.0, 3),
+        "last saved model": spread(rows, "last_cost_ratio", 1.0, 3),
         "untrained": spread(rows, "untrained_cost_ratio", 1.0, 3),
         "untrained success [%]": spread(rows, "untrained_success_rate", 100.0, 0),
     }

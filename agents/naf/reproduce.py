@@ -1,8 +1,8 @@
 """The paper's experiment with the paper's numbers: its figures, and a table beside its statements.
 
 python agents/naf/reproduce.py [--output runs/reproduction] [--seeds 0 1 2]
-    [--scenarios touch paper] [--processes N] [--only RUN ...] [--quick] [--figures FOLDER]
-    [--docs FILE]
+    [--scenarios touch paper] [--processes N] [--only RUN ...] [--report] [--quick]
+    [--figures FOLDER] [--docs FILE]
 
 Trains recipe=paper for every scenario and seed, and the first of them with gamma 0.99 as well. The
 same command goes on after an interruption. --quick has the same form on a budget of seconds: it
@@ -32,6 +32,7 @@ from marl_lanes.report.statements import (
     FINAL,
     PAPERS_STAGE_ONE,
     drive_saved_models,
+    find_saved_models,
     measure_run,
     read_config,
     tabulate_statements,
@@ -88,10 +89,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if options.docs is not None:
                 check_document(options.docs, TABLES)
             runs = choose(plan(options), options.only)
-            is_whole = carry_out(runs, options.output, num_processes=options.processes)
+            if options.report:
+                check_begun(options)
+                is_whole = True
+            else:
+                is_whole = carry_out(runs, options.output, num_processes=options.processes)
         if not is_whole:
             print("interrupted; the same command goes on")
-        elif not options.only:
+        elif options.report or not options.only:
             report(options, scenarios)
 
 
@@ -120,37 +125,72 @@ def choose(runs: list[Run], names: Sequence[str]) -> list[Run]:
     return [run for run in runs if not names or run.name in names]
 
 
+def find_begun(options: argparse.Namespace) -> dict[str, list[Path]]:
+    """The runs that have models to compare, by scenario."""
+    paths = {
+        name: [options.output / f"{name}_{seed}" for seed in options.seeds]
+        for name in options.scenarios
+    }
+    begun = {name: [path for path in found if is_begun(path)] for name, found in paths.items()}
+    return {name: found for name, found in begun.items() if found}
+
+
+def is_begun(path: Path) -> bool:
+    """Whether a run has models to compare."""
+    return len(find_saved_models(path)) > 1
+
+
+def check_begun(options: argparse.Namespace) -> None:
+    """Refuse a report of nothing.
+
+    Raises:
+        ConfigError: no run has two saved models.
+    """
+    if not find_begun(options):
+        raise ConfigError(
+            f"output {shown(str(options.output))}: must have a training with two saved models"
+        )
+
+
 def report(options: argparse.Namespace, scenarios: Mapping[str, Scenario]) -> None:
-    """Measure the finished runs; write numbers, tables and figures."""
+    """Measure the runs as far as they are; write numbers, tables and figures."""
     output: Path = options.output
     figures: Path = options.figures or output / "figures"
-    folders = {name: [output / f"{name}_{seed}" for seed in options.seeds] for name in scenarios}
+    folders = find_begun(options)
     rows: Rows = []
     for name, paths in folders.items():
         driven = [drive_saved_models(path, scenarios[name]) for path in paths]
         for path, models in zip(paths, driven, strict=True):
             rows.append(measure_run(path, models, scenarios[name]))
-        first, last = ([models[index][0] for models in driven] for index in (0, 1))
+        starts, ends = ([models[index][0] for models in driven] for index in (0, 1))
         stem = figures / f"reproduction_maneuver_{scenarios[name].name}"
-        draw_maneuver(stem, first, last, label_models(paths[0]), scenarios[name])
+        draw_maneuver(stem, starts, ends, label_models(paths[0]), scenarios[name])
     name, seed = options.scenarios[0], options.seeds[0]
     path = output / f"{name}_{seed}_gamma"
-    models = drive_saved_models(path, scenarios[name])
-    other = measure_run(path, models, scenarios[name])
-    stage_one = read_config(path)["optimizer"]["pretraining_transitions"]
+    others: Rows = []
+    if is_begun(path):
+        models = drive_saved_models(path, scenarios[name])
+        others.append(measure_run(path, models, scenarios[name]))
+    (first, *_), *_ = folders.values()
+    config = read_config(first)
+    stage_one = config["optimizer"]["pretraining_transitions"]
     for title, draw in (("loss", draw_losses), ("returns", draw_returns), ("models", draw_models)):
         draw(figures / f"reproduction_{title}", folders, stage_one)
     discounts = [row for key, one in scenarios.items() for row in weigh_discounts(key, one)]
-    counts = count_by_time(scenarios[name], len(models[0]))
+    number = config["evaluation"]["num_maneuvers"]
+    counts = [row for key, one in scenarios.items() for row in count_by_time(key, one, number)]
+    finals = [
+        {key: one[key] for key in ("scenario", "seed", "gamma", *FINAL)}
+        for one in (*rows, *others)
+        if one["success_rate"] is not None
+    ]
     tables = {
         "statements": tabulate_statements(rows),
         "discounts": format_table(discounts),
-        "gammas": format_table(
-            [{key: one[key] for key in ("gamma", *FINAL)} for one in (rows[0], other)]
-        ),
+        "gammas": format_table(finals) if finals else "No training has come to its end.\n",
         "maneuvers": format_table(counts),
     }
-    rows.append(other)
+    rows += others
     with replacing(output / "results.csv") as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
@@ -165,9 +205,9 @@ def report(options: argparse.Namespace, scenarios: Mapping[str, Scenario]) -> No
 
 def label_models(folder: Path) -> tuple[str, str]:
     """What the first and the last saved model of a run are called."""
-    config = read_config(folder)
-    counts = config["evaluation"]["save_interval"], config["collector"]["total_transitions"]
-    return f"{counts[0]:,} transitions", f"{counts[1]:,} transitions"
+    saved = find_saved_models(folder)
+    first, last = (int(path.stem.rpartition("_")[2]) for path in (saved[0], saved[-1]))
+    return f"{first:,} transitions", f"{last:,} transitions"
 
 
 def weigh_discounts(name: str, scenario: Scenario) -> Rows:
@@ -223,10 +263,10 @@ def make_program(scenario: Scenario, speed: float, gamma: float) -> Program:
     bounds[LATERAL_SPEED] = completion.max_lateral_speed or np.inf
     bounds[YAW_RATE] = completion.max_yaw_rate or np.inf
     bound = scenario.action.max_yaw_acceleration
-    return Program(free, response, bounds, bound, scenario.reward, gamma)
+    return Program(free, response, bounds, bound, scenario.reward, gamma=gamma)
 
 
-def count_by_time(scenario: Scenario, num_maneuvers: int) -> Rows:
+def count_by_time(name: str, scenario: Scenario, num_maneuvers: int) -> Rows:
     """How many maneuvers 200,000 steps have when mu is Eq. 6 and 7 with constants, by T."""
     features: list[str] = list(scenario.observation.features)
     columns = [features.index(name) for name in PaperMu.needs]
@@ -244,6 +284,7 @@ def count_by_time(scenario: Scenario, num_maneuvers: int) -> Rows:
         found = evaluate(maneuvers, scenario, with_optimum=False)
         rows.append(
             {
+                "scenario": name,
                 "T [s]": time,
                 "steps a maneuver": steps,
                 "maneuvers in 200,000 steps": round(PAPERS_STAGE_ONE / steps),
@@ -268,6 +309,11 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         metavar="RUN",
         help="carry out these trainings alone, and report nothing: SCENARIO_SEED, or the first "
         "one's with _gamma",
+    )
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="train nothing; report on the trainings that are there, also on unfinished ones",
     )
     parser.add_argument("--quick", action="store_true", help="a budget of seconds")
     parser.add_argument("--figures", type=Path, help="their folder (default: OUTPUT/figures)")

@@ -30,7 +30,12 @@ from marl_lanes.training.checkpoint import load_policy
 from marl_lanes.training.command_line import Parser, refusing
 from marl_lanes.training.config import ConfigError
 from marl_lanes.training.failures import ending
-from marl_lanes.training.run_folder import CHECKPOINTS_FOLDER, FINAL_MODEL, TIMES_FILE
+from marl_lanes.training.run_folder import (
+    CHECKPOINTS_FOLDER,
+    FINAL_MODEL,
+    TIMES_FILE,
+    count_transitions,
+)
 from marl_lanes.zoo.index import FOLDER, INDEX_FILE, PREFIX
 
 NAF, ADVERSARY = "agents/naf/train.py", "agents/adversary/train.py"
@@ -64,7 +69,6 @@ class Policy(NamedTuple):
         seed: of the training.
         arguments: of the program, besides the seed.
         trials: what is measured, the main one first.
-        model: its file in the run folder.
     """
 
     description: str
@@ -73,7 +77,6 @@ class Policy(NamedTuple):
     seed: int
     arguments: tuple[str, ...]
     trials: tuple[Trial, ...]
-    model: str = MODEL
 
     @property
     def opponents(self) -> set[str]:
@@ -116,7 +119,19 @@ POLICIES = {
         "changer",
         NAF,
         0,
-        ("scenario=interactive", "evaluation.record=false"),
+        (
+            "scenario=interactive",
+            "collector.total_transitions=1_050_000",
+            "exploration.annealing_transitions=1_050_000",
+            "optimizer.pretraining_transitions=320_000",
+            "optimizer.mu_learning_rate=2e-5",
+            "optimizer.longitudinal_learning_rate=4e-4",
+            "loss.num_steps=8",
+            "exploration.probability=0.3",
+            "evaluation.save_interval=100_000",
+            "evaluation.num_maneuvers=300",
+            "evaluation.record=false",
+        ),
         (Trial("interactive", "interactive"),),
     ),
     "adversary": Policy(
@@ -124,23 +139,13 @@ POLICIES = {
         "follower",
         ADVERSARY,
         0,
-        (f"changer={PREFIX}interactive", "follower.evaluation.record=false"),
-        (Trial("interactive", "interactive", "adversary"),),
-    ),
-    "hardened": Policy(
-        "Lane changer: zoo:interactive, trained on against followers that have learned to hinder "
-        "it.",
-        "changer",
-        ADVERSARY,
-        0,
         (
             f"changer={PREFIX}interactive",
-            "rounds=1",
+            "follower.evaluation.save_interval=600_000",
+            "follower.evaluation.final_num_maneuvers=100",
             "follower.evaluation.record=false",
-            "hardening.evaluation.record=false",
         ),
-        (Trial("hardened", "interactive"), Trial("hardened", "interactive", "adversary")),
-        "changer.pt",
+        (Trial("interactive", "interactive", "adversary"),),
     ),
 }
 
@@ -157,13 +162,11 @@ _LEARNING = (
     "evaluation.final_num_maneuvers=2",
 )
 QUICK: Mapping[str, tuple[str, ...]] = {
-    NAF: _LEARNING,
-    ADVERSARY: (
-        *(f"follower.{one}" for one in _LEARNING),
-        *(f"hardening.{one}" for one in _LEARNING),
-    ),
+    NAF: (*_LEARNING, "demonstrations.num_transitions=0"),
+    ADVERSARY: tuple(f"follower.{one}" for one in _LEARNING),
 }
-"""What --quick adds to the arguments of a program: a budget that shows only that all works."""
+"""What --quick adds to the arguments of a program: a budget that shows only that all works. No
+demonstrations: not every scenario has them."""
 
 
 @lenient_streams()
@@ -219,11 +222,8 @@ class Zoo:
         policy, file = POLICIES[name], self._model(name)
         if file.stat().st_size > MAX_SIZE:
             raise ConfigError(f"{file}: must have at most {MAX_SIZE:,} bytes")
-        content = read_content(file)
-        seconds = [
-            json.loads(path.read_text(encoding="utf-8"))["seconds_training"]
-            for path in (self.output / name).rglob(TIMES_FILE)
-        ]
+        transitions, demonstrations = count_transitions(self.output / name)
+        times = json.loads((self.output / name / TIMES_FILE).read_text(encoding="utf-8"))
         return {
             "description": policy.description,
             "role": policy.role,
@@ -231,9 +231,10 @@ class Zoo:
             "version": version("marl-lanes"),
             "seed": policy.seed,
             "training": {
-                "scenario": content["scenario"],
-                "transitions": content["transitions"],
-                "seconds": sum(seconds),
+                "scenario": read_content(file)["scenario"],
+                "transitions": transitions,
+                "demonstrations": demonstrations,
+                "seconds": times["seconds_training"],
                 "command": policy.command,
             },
             "rows": [self._measure(trial) for trial in policy.trials],
@@ -263,7 +264,7 @@ class Zoo:
         return f"{field}={self._model(value.removeprefix(PREFIX))}" if is_of_zoo else argument
 
     def _model(self, name: str) -> Path:
-        return self.output / name / POLICIES[name].model
+        return self.output / name / MODEL
 
     def _measure(self, trial: Trial) -> dict[str, Any]:
         """The row of a trial, from its file if it was measured before."""

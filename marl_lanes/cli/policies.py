@@ -93,7 +93,11 @@ def find_training(name: str) -> "Training | None":
     from marl_lanes.evaluation.benchmark import Training
     from marl_lanes.naf.checkpoint import read_content
     from marl_lanes.report.run_files import read_run
-    from marl_lanes.training.run_folder import CHECKPOINTS_FOLDER, EVALUATION_FILE
+    from marl_lanes.training.run_folder import (
+        CHECKPOINTS_FOLDER,
+        EVALUATION_FILE,
+        count_transitions,
+    )
 
     if name in UNTRAINED:
         return None
@@ -104,10 +108,15 @@ def find_training(name: str) -> "Training | None":
         return None
     content, run = read_content(path), path.resolve().parent.parent
     is_of_run = path.resolve().parent.name == CHECKPOINTS_FOLDER
-    files = read_run(run) if is_of_run and (run / EVALUATION_FILE).is_file() else None
+    scenario, transitions = content["scenario"], content["transitions"]
+    if not is_of_run or not (run / EVALUATION_FILE).is_file():
+        return Training(scenario=scenario, transitions=transitions, seconds=None, command=None)
+    files = read_run(run)
+    transitions, demonstrations = count_transitions(run)
     return Training(
-        scenario=content["scenario"],
-        transitions=content["transitions"],
-        seconds=None if files is None else files.seconds["seconds_training"],
-        command=None if files is None else files.command,
+        scenario=scenario,
+        transitions=transitions,
+        demonstrations=demonstrations,
+        seconds=files.seconds["seconds_training"],
+        command=files.command,
     )

@@ -56,9 +56,11 @@ class Training(BaseModel):
 
     scenario: str
     transitions: int
-    """Steps of acting agents."""
+    """Steps of acting agents, those of demonstrations not counted."""
+    demonstrations: int = 0
+    """Transitions of another policy that it imitated at first."""
     seconds: float | None
-    """Of the training without evaluating and saving; None: not known."""
+    """Of the training without demonstrating, evaluating and saving; None: not known."""
     command: str | None
     """The command line; None: not known."""
 

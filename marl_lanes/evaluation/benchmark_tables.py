@@ -122,7 +122,7 @@ def _tables(rows: Sequence[Row]) -> str:
     times = [f"decision, {_agents(number)} [us]" for number in NUM_AGENTS]
     ended = [["policy", "maneuvers", *(title for _, title, _, _ in OUTCOMES)]]
     driven = [["policy", *(title for _, title, _, _ in (OUTCOMES[0], *COMFORT)), *times]]
-    driven[0] += ["transitions", "training [s]"]
+    driven[0] += ["transitions", "demonstrations", "training [s]"]
     for row in rows:
         name = f"`{row.policy}`".replace("|", "\\|")
         if row.does_not_fit is not None:
@@ -144,9 +144,9 @@ def _table(lines: Sequence[Sequence[str]]) -> str:
 def _learned(row: Row) -> list[str]:
     training = row.training
     if training is None:
-        return [_NONE, _NONE]
+        return [_NONE] * 3
     seconds = _NONE if training.seconds is None else f"{training.seconds:.0f}"
-    return [f"{training.transitions:,}", seconds]
+    return [f"{training.transitions:,}", f"{training.demonstrations:,}", seconds]
 
 
 def _statistics(row: Row, columns: Sequence[Column]) -> list[str]:

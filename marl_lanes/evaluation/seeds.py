@@ -89,16 +89,17 @@ def draw_models(stem: Path, runs: Runs, pretraining_transitions: int) -> None:
 
     Args:
         stem: as for ``draw_losses``.
-        runs: the trainings; those of a scenario have saved equally many models.
+        runs: the trainings; of a scenario's, as many models are drawn as each has saved.
         pretraining_transitions: end of stage one.
     """
     title = "Mean return of each saved model over its completed maneuvers"
     figure, (axes, shares) = new_figure(title, 2, height_ratios=(2, 1))
     for (scenario, folders), look in zip(runs.items(), _LOOKS, strict=False):
         tables = [read_table(folder / "evaluations.csv") for folder in folders]
-        at = np.mean([table["transitions"] for table in tables], axis=0)
+        number = min(table["transitions"].size for table in tables)
+        at = np.mean([table["transitions"][:number] for table in tables], axis=0)
         for panel, key, factor in ((axes, "mean_return", 1.0), (shares, "success_rate", 100.0)):
-            rows = [factor * table[key] for table in tables]
+            rows = [factor * table[key][:number] for table in tables]
             _draw_band(panel, at, rows, look, scenario, marker="o")
     axes.set_ylabel("mean return [1]")
     axes.legend()

@@ -34,10 +34,15 @@ def read_config(folder: Path) -> dict[str, Any]:
     return config
 
 
+def find_saved_models(folder: Path) -> list[Path]:
+    """A run's saved models, the first one first."""
+    return sorted((folder / CHECKPOINTS_FOLDER).glob("step_*.pt"))
+
+
 def drive_saved_models(folder: Path, scenario: Scenario) -> tuple[list[Maneuver], list[Maneuver]]:
     """Maneuvers of a run's first and last saved model, frozen, on the same traffic."""
     settings = read_config(folder)["evaluation"]
-    saved = sorted((folder / CHECKPOINTS_FOLDER).glob("step_*.pt"))
+    saved = find_saved_models(folder)
     first, last = (
         run_maneuvers(
             scenario,
@@ -56,7 +61,7 @@ def measure_run(
     """What the paper says of its training, in numbers of a run; None where nothing defines it.
 
     Args:
-        folder: of the finished run.
+        folder: of the run, which may not have come to its end.
         models: of ``drive_saved_models``.
         scenario: of the maneuvers.
 
@@ -82,14 +87,16 @@ def measure_run(
         return _mean(maneuvers["return"][is_completed & tenth(maneuvers, number)])
 
     first, last = (evaluate(one, scenario, with_optimum=False) for one in models)
-    # The last row is the final model once more.
-    returns = saved["mean_return"][:-1]
+    # The final model has a row more.
+    returns = saved["mean_return"][: len(find_saved_models(folder))]
     rises = np.diff(returns) > 0.0
-    final = json.loads((folder / EVALUATION_FILE).read_text(encoding="utf-8"))
+    path = folder / EVALUATION_FILE
+    final = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     return {
         "scenario": config["scenario"],
         "seed": config["seed"],
         "gamma": config["loss"]["gamma"],
+        "transitions": float(total),
         "maneuvers": num_early,
         "maneuvers_wanted": PAPERS_MANEUVERS * stage_one / PAPERS_STAGE_ONE,
         "steps_a_maneuver": stage_one / num_early if num_early else None,
@@ -112,7 +119,7 @@ def measure_run(
         "peak_acceleration_last": last["mean_peak_yaw_acceleration"],
         "peak_rate_first": first["mean_peak_yaw_rate"],
         "peak_rate_last": last["mean_peak_yaw_rate"],
-        **{key: final[key] for key in FINAL},
+        **{key: final.get(key) for key in FINAL},
     }
 
 
@@ -198,7 +205,11 @@ def tabulate_statements(rows: Sequence[Mapping[str, Any]]) -> str:
     """
     names = dict.fromkeys(row["scenario"] for row in rows)
     runs = {name: [row for row in rows if row["scenario"] == name] for name in names}
-    lines: list[dict[str, Cell]] = []
+    trained = {
+        name: _summarise([run["transitions"] for run in found], 1e-3)
+        for name, found in runs.items()
+    }
+    lines: list[dict[str, Cell]] = [{"the paper": "", "here": "transitions [1,000]", **trained}]
     for statement in STATEMENTS:
         words = statement.words
         for label, key, factor in statement.measures:
@@ -223,7 +234,9 @@ def _summarise(values: Sequence[float | None], factor: float) -> str:
     known = [factor * value for value in values if value is not None]
     if not known:
         return "-"
-    text = f"{np.median(known):.4g} [{min(known):.4g}, {max(known):.4g}]"
+    text = f"{np.median(known):.4g}"
+    if len(known) > 1:
+        text += f" [{min(known):.4g}, {max(known):.4g}]"
     return text if len(known) == len(values) else f"{text} ({len(known)} of {len(values)} seeds)"
 
 

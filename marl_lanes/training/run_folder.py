@@ -10,6 +10,7 @@ from math import inf
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import yaml
 from torch.utils.tensorboard import SummaryWriter
 
 from marl_lanes.files import (
@@ -121,6 +122,30 @@ def check_extent(path: Path, extent: Any) -> None:
             f"table {path}: must begin with the rows of the run that {STATE_FILE} is of; it has "
             "changed since, or is gone"
         )
+
+
+def count_transitions(path: Path) -> tuple[int, int]:
+    """Transitions of a whole run, and of the demonstrations that it began with.
+
+    A saved model that was chosen as the final one knows only those up to it.
+
+    Args:
+        path: the folder of a finished run.
+
+    Raises:
+        ConfigError: a file is damaged.
+        OSError: it cannot be read.
+    """
+    table, config = path / EVALUATIONS_FILE, path / CONFIG_FILE
+    try:
+        *_, last = csv.DictReader(table.read_text(encoding="utf-8").splitlines())
+        fields = yaml.safe_load(config.read_text(encoding="utf-8"))
+        demonstrations = fields.get("demonstrations", {"num_transitions": 0})
+        return int(last["transitions"]), int(demonstrations["num_transitions"])
+    except (AttributeError, KeyError, TypeError, ValueError, csv.Error, yaml.YAMLError):
+        raise ConfigError(
+            f"run {path}: {table.name} and {config.name}: must be as the training wrote them"
+        ) from None
 
 
 def lock_run(path: Path) -> BinaryIO:

@@ -95,7 +95,7 @@ def _look_ahead(
     for step in range(1, min(num_steps, length)):
         later = (start + step).clamp(max=length - 1)
         goes_on = goes_on & (start + step < length)
-        total = total + gamma**step * goes_on * reward.gather(time, later)
+        total = total + gamma**step * torch.where(goes_on, reward.gather(time, later), 0.0)
         last = torch.where(goes_on, later, last)
         goes_on = goes_on & ~done.gather(time, later)
     found = {

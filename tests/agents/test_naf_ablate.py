@@ -51,7 +51,7 @@ def test_its_quick_form(program, study, monkeypatch):
     assert float(row["untrained_cost_ratio"]) > 0.9
     table = (study / "study" / "ablations.md").read_text(encoding="utf-8")
     assert table in (study / "page.md").read_text(encoding="utf-8")
-    assert table.splitlines()[2].startswith("| **base**: mu cascade")
+    assert table.splitlines()[2].startswith("| **base**: recipe fast")
 
 
 def test_what_is_trained(program, tmp_path, monkeypatch):

@@ -58,6 +58,14 @@ def test_its_quick_form(program, tmp_path, monkeypatch):
     figures = {path.name for path in (study / "figures").glob("*.svg")}
     titles = ("loss", "returns", "models", "maneuver_busy")
     assert figures == {f"reproduction_{title}.svg" for title in titles}
+    # What is left of an interrupted study.
+    shutil.rmtree(study / "busy.yaml_3_gamma")
+    (study / "busy.yaml_3" / "evaluation.json").unlink()
+    run_main(program, tmp_path, *options, "--output", "study", "--report")
+    assert len(trained) == 2
+    (row,) = json.loads((study / "results.json").read_text(encoding="utf-8"))["runs"]
+    assert row["success_rate"] is None
+    assert row["model_last"] == pytest.approx(float(first["model_last"]))
 
 
 def test_what_the_study_trains_and_that_it_can_be_interrupted(program, tmp_path, monkeypatch):
@@ -95,6 +103,14 @@ def test_some_trainings_alone(program, tmp_path, monkeypatch, capsys):
         program.main(["--only", "touch_3"])
     assert end.value.code == 2
     assert "--only 'touch_3': must be among touch_0, touch_1" in capsys.readouterr().err
+
+
+def test_a_report_of_nothing_is_refused(program, tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        program.main(["--output", str(tmp_path / "study"), "--report"])
+    assert end.value.code == 2
+    assert "study': must have a training with two saved models" in capsys.readouterr().err
+    assert not (tmp_path / "study").exists()
 
 
 def test_a_document_without_places_is_refused_before_any_training(program, tmp_path):

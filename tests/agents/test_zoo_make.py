@@ -20,6 +20,7 @@ from marl_lanes.zoo.index import find_entry, find_file, read_index
 PROGRAM = Path(__file__).parents[2] / "agents" / "zoo" / "make.py"
 MAKE = load_program(PROGRAM)
 ADVERSARY = ("changer=zoo:one", "follower.evaluation.record=false")
+CONFIG = "demonstrations: {num_transitions: 70}"
 ROLES = {"changer": ("one", None), "follower": ("one", "rude")}
 
 
@@ -55,6 +56,9 @@ def studies(tmp_path, monkeypatch):
             save_checkpoint(folder / run.name / MAKE.MODEL, network, "busy", 300)
             times = json.dumps({"seconds_training": 1.5})
             (folder / run.name / "training.json").write_text(times, encoding="utf-8")
+            table = "transitions\n300\n900\n"
+            (folder / run.name / "evaluations.csv").write_text(table, encoding="utf-8")
+            (folder / run.name / "config.yaml").write_text(CONFIG, encoding="utf-8")
         return True
 
     monkeypatch.setattr(MAKE, "carry_out", carry_out)
@@ -77,7 +81,8 @@ def test_opponents_are_trained_first_and_all_is_written(capsys, monkeypatch, stu
     assert (entry["role"], entry["seed"]) == ("follower", 3)
     assert entry["training"] == {
         "scenario": "busy",
-        "transitions": 300,
+        "transitions": 900,
+        "demonstrations": 70,
         "seconds": 1.5,
         "command": "python agents/adversary/train.py changer=zoo:one "
         "follower.evaluation.record=false seed=3",

@@ -7,6 +7,7 @@ import pytest
 import torch
 from checkpoints import save_trained
 from cli.commands import EVALUATE
+from report.runs import make_run
 
 from marl_lanes import load_scenario
 from marl_lanes.cli.main import main
@@ -92,3 +93,14 @@ def test_what_a_policy_has_learned_from(small_zoo):
     assert (alone.scenario, alone.transitions) == ("paper", 1234)
     assert alone.seconds is None
     assert alone.command is None
+
+
+def test_of_a_run_all_transitions_count_and_demonstrations_apart(tmp_path):
+    run = make_run(tmp_path / "run")
+    # The final model is an earlier one.
+    file = save_trained(run / "checkpoints" / "final.pt")
+    (run / "evaluations.csv").write_text("transitions\n0\n1234\n4567\n", encoding="utf-8")
+    (run / "config.yaml").write_text("demonstrations: {num_transitions: 89}\n", encoding="utf-8")
+    found = find_training(str(file))
+    assert (found.scenario, found.transitions, found.demonstrations) == ("paper", 4567, 89)
+    assert (found.seconds, found.command) == (1156.25, "python train.py seed=0")

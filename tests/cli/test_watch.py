@@ -157,7 +157,7 @@ def test_a_port_in_use_is_refused(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere"], "nowhere: must be a run folder, a checkpoint, or one of tuned-cascade"),
+        (["nowhere"], "nowhere: must be a run folder, a checkpoint, zoo:NAME"),
         (["."], "must be a run folder; it has no scenario.yaml"),
         (["broken.pt"], "broken.pt"),
         (["tuned-cascade", "--port", "70000"], "--port: '70000': must be a whole number, 0 to"),

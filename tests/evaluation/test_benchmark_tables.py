@@ -47,7 +47,9 @@ ROWS = [
         "cheap",
         success=1.0,
         ratio=1.0,
-        training=Training(scenario="paper", transitions=12345, seconds=67.8, command=None),
+        training=Training(
+            scenario="paper", transitions=12345, demonstrations=2000, seconds=67.8, command=None
+        ),
     ),
     unfit("cheap", "dense"),
     row("none", "my|own", success=0.0, ratio=None, no_cost_ratio="no maneuver was completed"),
@@ -114,8 +116,8 @@ def test_the_best_success_comes_first_then_the_lowest_ratio():
     assert names == ["`cheap`", "`dear`", "`worse`"]
     # Success stands first in both.
     assert [table.splitlines()[0].count("success [%]") for table in (ended, driven)] == [1, 1]
-    assert driven.splitlines()[2].endswith("| 100.0 | 2.5 | 12,345 | 68 |")
-    assert driven.splitlines()[3].endswith("| - | - |")
+    assert driven.splitlines()[2].endswith("| 100.0 | 2.5 | 12,345 | 2,000 | 68 |")
+    assert driven.splitlines()[3].endswith("| - | - | - |")
     assert dense.strip().splitlines()[2].startswith("| `cheap` | does not fit |")
     assert len(dense.strip().splitlines()) == 3
     assert "| `none` | 1,000 | 0.0 [25.0, 100.0] | - |" in own

@@ -50,6 +50,9 @@ def run(tmp_path, monkeypatch):
         (tmp_path / f"{name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(CONFIG), encoding="utf-8")
     (tmp_path / "evaluation.json").write_text(json.dumps(FINAL), encoding="utf-8")
+    (tmp_path / "checkpoints").mkdir()
+    for number in (1, 2, 3, 4):
+        (tmp_path / "checkpoints" / f"step_{number}.pt").touch()
     peaks = {"first": 2.0, "last": None}
 
     def evaluate(maneuvers, *_, **__):
@@ -59,8 +62,19 @@ def run(tmp_path, monkeypatch):
     return measure_run(tmp_path, ("first", "last"), SimpleNamespace())
 
 
+def test_a_run_that_is_not_over_has_no_final_numbers(run, tmp_path):
+    (tmp_path / "evaluation.json").unlink()
+    (tmp_path / "checkpoints" / "step_4.pt").unlink()
+    found = measure_run(tmp_path, ("first", "last"), SimpleNamespace())
+    assert found["model_last"] == -3.5
+    changed = {key for key, value in run.items() if found[key] != value}
+    assert changed == {*FINAL, "model_last", "model_rises"}
+    assert all(found[key] is None for key in FINAL)
+
+
 def test_the_numbers_of_a_run(run):
     assert (run["scenario"], run["seed"], run["gamma"]) == ("touch", 7, 0.95)
+    assert run["transitions"] == 100.0
     # 6,500 in 200,000 are 1.6 in 50 transitions.
     assert (run["maneuvers"], run["maneuvers_wanted"]) == (25, 1.625)
     assert run["steps_a_maneuver"] == 2.0
@@ -109,7 +123,8 @@ def test_the_table_has_median_range_and_verdict(run):
     text = tabulate_statements([run, other, third, run | {"scenario": "paper"}])
     head, _, *lines = text.splitlines()
     assert head == "| the paper | here | touch | paper |"
-    assert lines[0].endswith("| maneuvers in stage one | 27 [25, 35] | 25 [25, 25] |")
+    assert lines[0].endswith("| transitions [1,000] | 0.1 [0.1, 0.1] | 0.1 |")
+    assert lines[1].endswith("| maneuvers in stage one | 27 [25, 35] | 25 |")
     assert any("| last tenth | -95 [-95, -95] (2 of 3 seeds) | -95" in line for line in lines)
     verdicts = [line for line in lines if "holds if" in line]
     assert len(verdicts) == len(STATEMENTS)

@@ -50,7 +50,7 @@ def test_with_all_fields_at_one_end_of_their_limits_everything_is_finite(corner)
 
 def test_with_fields_anywhere_in_their_limits_everything_is_finite():
     acted = sum(drive_at_limits(seed, 250) for seed in range(16))
-    assert (acted > 100).all()
+    assert (acted > 50).all()
 
 
 @pytest.mark.long

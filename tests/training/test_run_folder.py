@@ -13,7 +13,13 @@ import torch
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.training.config import EVALUATED, ConfigError
-from marl_lanes.training.run_folder import FINAL_MODEL, RunFolder, Table, check_extent
+from marl_lanes.training.run_folder import (
+    FINAL_MODEL,
+    RunFolder,
+    Table,
+    check_extent,
+    count_transitions,
+)
 
 torch.set_num_threads(1)
 
@@ -208,3 +214,36 @@ def test_a_folder_in_which_another_process_trains_is_refused(tmp_path):
 def test_a_run_that_could_not_begin_leaves_nothing(tmp_path):
     RunFolder(tmp_path / "run", LEARNED).discard()
     assert list(tmp_path.iterdir()) == []
+
+
+TABLE = "transitions,checkpoint\n0,a\n500,b\n1000,c\n"
+
+
+@pytest.mark.parametrize(
+    ("config", "wanted"),
+    [("seed: 0", (1000, 0)), ("demonstrations: {num_transitions: 70}", (1000, 70))],
+)
+def test_all_transitions_of_a_run_are_counted(tmp_path, config, wanted):
+    (tmp_path / "evaluations.csv").write_text(TABLE, encoding="utf-8")
+    (tmp_path / "config.yaml").write_text(config, encoding="utf-8")
+    assert count_transitions(tmp_path) == wanted
+
+
+@pytest.mark.parametrize(
+    ("table", "config"),
+    [
+        ("", "seed: 0"),
+        ("transitions\n", "seed: 0"),
+        ("number\n1\n", "seed: 0"),
+        ("transitions\nmany\n", "seed: 0"),
+        (TABLE, "[]"),
+        (TABLE, "[1"),
+        (TABLE, "demonstrations: 1"),
+        (TABLE, "demonstrations: {}"),
+    ],
+)
+def test_transitions_of_damaged_files_are_refused(tmp_path, table, config):
+    (tmp_path / "evaluations.csv").write_text(table, encoding="utf-8")
+    (tmp_path / "config.yaml").write_text(config, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"evaluations\.csv and config\.yaml: must be"):
+        count_transitions(tmp_path)

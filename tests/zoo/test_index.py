@@ -44,7 +44,8 @@ def test_a_shipped_policy_is_small_and_drives_where_it_was_measured(name):
     assert read_content(file).keys() == {"format", "config", "weights", "scenario", "transitions"}
     training = Training.model_validate(entry["training"])
     assert f"seed={entry['seed']}" in str(training.command).split()
-    assert training.transitions == read_content(file)["transitions"]
+    # A model that was chosen knows less than the whole training.
+    assert training.transitions >= read_content(file)["transitions"]
     scenario = load_scenario(training.scenario)
     if entry["role"] == "follower":
         assert load_follower(file, scenario)(np.zeros((2, 9), np.float32)).shape == (2,)

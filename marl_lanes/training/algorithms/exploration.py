@@ -44,7 +44,9 @@ class OccasionalNoise(TensorDictModuleBase):
         """Write the actions over the greedy ones."""
         greedy = tensordict[self.action_key].clone()
         noisy = self.noise(tensordict)[self.action_key]
-        is_noisy = torch.rand(greedy.shape[:-1], device=greedy.device) < self.probability
+        # Drawn in the actions' dtype: torch's default one may be set to another.
+        drawn = torch.rand(greedy.shape[:-1], dtype=greedy.dtype, device=greedy.device)
+        is_noisy = drawn < self.probability
         tensordict[self.action_key] = torch.where(is_noisy.unsqueeze(-1), noisy, greedy)
         return tensordict
 

@@ -92,7 +92,7 @@ def test_of_the_actions_a_share_is_noisy():
     shape = actor.noise.spec["changers", "action"].shape[:-1]
     drive, found = network.policy().module, []
     for _ in range(500):
-        observation = torch.randn(*shape, len(network.features))
+        observation = torch.zeros(*shape, len(network.features))
         agents = {"observation": observation, "acting": torch.ones(shape) > 0.0}
         driven = actor.policy(TensorDict({"changers": agents}, shape[:1]))["changers", "action"]
         found.append((driven != drive(observation)).flatten())
