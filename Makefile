@@ -9,6 +9,7 @@
 # make zoo - train the policies of marl_lanes/zoo/ anew, measure them, write their files and the index: an hour
 #            (ARGS="--processes N": N trainings at a time)
 # make figures - draw the figures of docs/ anew, in a few minutes
+# make reproduction - train once with the values of the paper, and write docs/reproduction.md; half an hour
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
 #                  pictures with highway-env's
 # Each sets up .venv when it is missing or out of date.
@@ -29,7 +30,7 @@ INTERPRETED := -m "not (training or slow or long)" tests/traffic/test_golden.py 
 # What stands before the tests of `check` and `test`, side by side.
 MAKEFLAGS += --jobs=2
 
-.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels zoo figures benchmark clean
+.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels zoo figures reproduction benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -90,6 +91,16 @@ figures: $(VENV)/installed
 		--figure docs/figures/recognition.svg --figure docs/figures/recognition.png
 	$(BIN)/python benchmarks/convergence.py \
 		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
+
+reproduction: $(VENV)/installed
+# Half an hour of training, for docs/reproduction.md and these figures:
+#     docs/figures/reproduction_loss.svg docs/figures/reproduction_loss.png
+#     docs/figures/reproduction_returns.svg docs/figures/reproduction_returns.png
+#     docs/figures/reproduction_models.svg docs/figures/reproduction_models.png
+#     docs/figures/reproduction_maneuver_touch.svg docs/figures/reproduction_maneuver_touch.png
+	$(BIN)/python agents/naf/reproduce.py --seeds 0 --scenarios touch --only touch_0
+	$(BIN)/python agents/naf/reproduce.py --seeds 0 --scenarios touch --report \
+		--figures docs/figures --docs docs/reproduction.md
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'

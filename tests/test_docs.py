@@ -102,8 +102,10 @@ def test_every_relative_link_leads_somewhere(page):
             assert anchor in anchors(target), link
 
 
-def test_every_picture_is_an_image_that_make_figures_draws():
-    makefile = text_of(ROOT / "Makefile").partition("\nfigures:")[2].partition("\n\n")[0]
+def test_every_picture_is_an_image_that_make_draws():
+    text = text_of(ROOT / "Makefile")
+    rules = (text.partition(f"\n{name}:")[2] for name in ("figures", "reproduction"))
+    makefile = "".join(rule.partition("\n\n")[0] for rule in rules)
     starts = {".svg": b"<?xml", ".png": b"\x89PNG", ".gif": b"GIF8", ".webp": b"RIFF"}
     drawn = set(re.findall(r"docs/figures/[\w.-]+", makefile))
     shown = set()
