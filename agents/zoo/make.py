@@ -110,7 +110,6 @@ POLICIES = {
             Trial("paper", "paper"),
             Trial("paper", "dense"),
             Trial("paper", "adversarial"),
-            Trial("paper", "five_lanes"),
         ),
     ),
     "interactive": Policy(
