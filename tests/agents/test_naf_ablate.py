@@ -76,7 +76,8 @@ def test_the_command_lines_are_those_of_the_training_program(program):
     train = load_program(FOLDER / "train.py")
     options = program.parse([])
     for name in program.VARIANTS:
-        train.read([*program.plan(name, 0, options).arguments])
+        arguments = program.plan(name, 0, options).arguments
+        assert f"recipe={train.read([*arguments]).recipe}" in arguments, name
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from marl_lanes.scenario.fields import Real, Section
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.algorithm import OffPolicy
 from marl_lanes.training.algorithms.exploration import NoisyActor
+from marl_lanes.training.algorithms.off_policy import set_rates
 from marl_lanes.training.config import (
     ChangersConfig,
     CountOrZero,
@@ -192,8 +193,7 @@ class NAF(OffPolicy):
         optimizer, stage_one = self.config.optimizer, self.pretraining_transitions
         stage_two = max(1, self.config.collector.total_transitions - stage_one)
         share = min(1.0, max(0, transitions - stage_one) / stage_two)
-        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
-            group["lr"] = rate * (1.0 - share * (1.0 - optimizer.final_rate))
+        set_rates(self.optimizer, self.rates, optimizer, share)
         is_stage_one = transitions < stage_one
         # Adam passes over what has no gradient; a zero one it would count as a step.
         for block, gradient in zip(self.joined[1:], self.gradients[1:], strict=True):
