@@ -190,6 +190,11 @@ class Simulator:
         return self._roads.follower_actions
 
     @property
+    def is_on_gpu(self) -> bool:
+        """Whether a GPU does all of a step: no policy of followers runs on the host."""
+        return self._gpu_roads is not None and not any(self._policies)
+
+    @property
     def gpu_roads(self) -> "GpuRoads":
         """The roads on a GPU, for what reads them there.
 
