@@ -215,14 +215,66 @@ def read_follower(
 
 
 @compiled
-def _read_changers(agents: Any, has_longitudinal: bool, *columns: Any) -> None:
+def _read_changers(
+    agents: Any,
+    has_longitudinal: bool,
+    mask: Any,
+    steering: Any,
+    aborting: Any,
+    acting: Any,
+    outcome: Any,
+    reward: Any,
+    episode_reward: Any,
+    done: Any,
+    terminated: Any,
+    truncated: Any,
+) -> None:
     for env in range(agents.shape[0]):
         for slot in range(agents.shape[1]):
-            read_changer(env, slot, agents, has_longitudinal, *columns)
+            read_changer(
+                env,
+                slot,
+                agents,
+                has_longitudinal,
+                mask,
+                steering,
+                aborting,
+                acting,
+                outcome,
+                reward,
+                episode_reward,
+                done,
+                terminated,
+                truncated,
+            )
 
 
 @compiled
-def _read_followers(agents: Any, followers: Any, policy: int, *columns: Any) -> None:
+def _read_followers(
+    agents: Any,
+    followers: Any,
+    policy: int,
+    mask: Any,
+    acting: Any,
+    reward: Any,
+    episode_reward: Any,
+    done: Any,
+    terminated: Any,
+    truncated: Any,
+) -> None:
     for env in range(agents.shape[0]):
         for slot in range(agents.shape[1]):
-            read_follower(env, slot, agents, followers, policy, *columns)
+            read_follower(
+                env,
+                slot,
+                agents,
+                followers,
+                policy,
+                mask,
+                acting,
+                reward,
+                episode_reward,
+                done,
+                terminated,
+                truncated,
+            )
