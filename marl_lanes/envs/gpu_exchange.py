@@ -1,6 +1,6 @@
 """What an environment gives to roads on a GPU and takes from them, in torch's tensors there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,7 +57,7 @@ class Exchange:
             for role in roles
         }
         self._places: list[tuple[slice, tuple[int, ...], torch.dtype]] = []
-        self._columns = {
+        self._columns: dict[str, dict[str, Any]] = {
             role.group: (changer_columns if role is CHANGER else follower_columns)(flat, self._add)
             for role in roles
         }
@@ -67,7 +67,20 @@ class Exchange:
         rows = (flat[0], simulator.scenario.max_vehicles, len(STATE_COLUMNS))
         self._tables = {"state": self._add(rows, np.float32)} if has_state else {}
         self._memory = torch.empty(self._size, dtype=torch.uint8, device=device)
-        self._arrays = [roads.share(one) for one in self._divide(self._memory)]
+        arrays = [roads.share(one) for one in self._divide(self._memory)]
+        ends = [arrays[number] for number in self._ends.values()]
+        self._readouts = [
+            *(self._make_readout(role, arrays, ends) for role in roles),
+            *(roads.make_table_readout(arrays[number]) for number in self._tables.values()),
+        ]
+
+    def _make_readout(
+        self, role: Role, arrays: Sequence[Any], ends: Sequence[Any]
+    ) -> Callable[[], None]:
+        columns = {key: arrays[number] for key, number in self._columns[role.group].items()}
+        if role is CHANGER:
+            return self._roads.make_readout(columns, ends)
+        return self._roads.make_follower_readout(columns)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy shares the memory of its own roads."""
@@ -118,16 +131,8 @@ class Exchange:
 
     def read(self) -> tuple[dict[str, Tensors], Tensors]:
         """New tensors: those of the groups, and those of the root."""
-        arrays, roads = self._arrays, self._roads
-        ends = [arrays[number] for number in self._ends.values()]
-        for role in self._roles:
-            columns = {key: arrays[place] for key, place in self._columns[role.group].items()}
-            if role is CHANGER:
-                roads.read_changers(columns, ends)
-            else:
-                roads.read_followers(columns)
-        for number in self._tables.values():
-            roads.read_vehicles(arrays[number])
+        for readout in self._readouts:
+            readout()
         tensors = self._divide(self._memory.clone())
         groups = {
             group: {key: tensors[number] for key, number in columns.items()}
