@@ -3,10 +3,10 @@
 python benchmarks/gpu.py [--json FILE] [--no-tests]
 
 Needs the extra ``gpu``, no network, and about three minutes. After the tables it runs the tests
-that hold the roads on the GPU against those on the CPU. The scenario is ``paper`` as recipe fast trains on it.
-The limit is the memory: the bytes that a step must read and write, each once, over the bandwidth of
-a copy measured here. A step of LaneChangeEnv is timed as it is called, and replayed as a CUDA
-graph, which leaves out Python.
+that hold the roads on the GPU against those on the CPU. The scenario is ``paper`` as recipe fast
+trains on it. The limit is the memory: the bytes that a step must read and write, each once, over
+the bandwidth of a copy measured here. A step of LaneChangeEnv is timed as it is called, and
+replayed as a CUDA graph, which leaves out Python.
 """
 
 import argparse
