@@ -78,19 +78,6 @@ def add_seed(parser: argparse.ArgumentParser, *, default: int | None) -> None:
     )
 
 
-def add_import(parser: argparse.ArgumentParser) -> None:
-    """Add --import; ``imports.import_modules`` takes its value, ``modules``."""
-    parser.add_argument(
-        "--import",
-        action="append",
-        default=[],
-        dest="modules",
-        metavar="MODULE",
-        help="first import this module, which calls register_follower; the current folder is also "
-        "searched; may be given more than once",
-    )
-
-
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add --json, a file for the results."""
     parser.add_argument("--json", type=file_name, help="also write the results to this file")

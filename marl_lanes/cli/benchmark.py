@@ -5,13 +5,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from marl_lanes.cli.arguments import Commands, add_import, add_json
-from marl_lanes.cli.imports import import_modules
+from marl_lanes.cli.arguments import Commands, add_json
 from marl_lanes.cli.outputs import check_outputs
 from marl_lanes.cli.policies import TRAINED, UNTRAINED, find_training, make_policy
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.values import MAX_SEED, file_name, whole_number
 from marl_lanes.evaluation.tasks import NUM_MANEUVERS, SEED, TASKS
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.terminal import say
 

@@ -6,17 +6,16 @@ from marl_lanes.cli.arguments import (
     Commands,
     add_figure,
     add_followers,
-    add_import,
     add_json,
     add_policy,
     add_traffic,
 )
-from marl_lanes.cli.imports import import_modules
 from marl_lanes.cli.names import label_changers, label_followers, saved_followers
 from marl_lanes.cli.outputs import check_figures, check_outputs, check_trajectories
 from marl_lanes.cli.policies import TRAINED, UNTRAINED, make_policy
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.values import file_name, whole_number
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.scenario import load_scenario
 from marl_lanes.scenario.followers import SCRIPTED
 from marl_lanes.terminal import say

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from marl_lanes.cli.arguments import Commands, add_followers, add_import, add_seed
-from marl_lanes.cli.imports import import_modules
+from marl_lanes.cli.arguments import Commands, add_followers, add_seed
 from marl_lanes.cli.outputs import check_outputs
 from marl_lanes.cli.policies import TRAINED, UNTRAINED
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.tracks import RECORDED, Track, make_tracks, read_inputs
 from marl_lanes.cli.values import file_name, number, whole_number
 from marl_lanes.extras import need
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.rendering.options import SPAN, SPEED, ViewOptions
 from marl_lanes.scenario.messages import shown
 from marl_lanes.terminal import say

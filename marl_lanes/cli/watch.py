@@ -8,11 +8,11 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from marl_lanes.cli.arguments import Commands, add_import, add_seed
-from marl_lanes.cli.imports import import_modules
+from marl_lanes.cli.arguments import Commands, add_seed
 from marl_lanes.cli.policies import TRAINED, UNTRAINED, is_policy, make_policy
 from marl_lanes.cli.values import number, whole_number
 from marl_lanes.extras import need
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.scenario import load_scenario
 from marl_lanes.terminal import say, warn
 

@@ -1,5 +1,6 @@
 """The user's own modules, which are run: followers that they register, and policies."""
 
+import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,19 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown
+
+
+def add_import(parser: argparse.ArgumentParser) -> None:
+    """Add --import; ``import_modules`` takes its value, ``modules``."""
+    parser.add_argument(
+        "--import",
+        action="append",
+        default=[],
+        dest="modules",
+        metavar="MODULE",
+        help="first import this module, which calls register_follower; the current folder is also "
+        "searched; may be given more than once",
+    )
 
 
 def import_modules(names: Sequence[str]) -> None:

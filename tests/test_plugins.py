@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from marl_lanes import load_scenario
-from marl_lanes.cli.imports import import_modules, import_policy, names_function
+from marl_lanes.plugins import import_modules, import_policy, names_function
 
 PAPER = load_scenario("paper")
 SEEN = np.ones((3, 6), np.float32)

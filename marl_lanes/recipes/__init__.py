@@ -1,0 +1,1 @@
+"""How NAF is trained: the values of the recipes, and a training by them."""
