@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from marl_lanes import LaneChangeEnv, load_scenario
 from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import PolicyNetwork
-from marl_lanes.recipes.naf import FOLDER
+from marl_lanes.recipes import FOLDER
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network

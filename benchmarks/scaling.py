@@ -25,7 +25,7 @@ from tensordict import TensorDictBase
 
 from marl_lanes import LaneChangeEnv
 from marl_lanes.files import write_json
-from marl_lanes.recipes.naf import FOLDER
+from marl_lanes.recipes import FOLDER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector, MakeCollector, TrafficCollector

@@ -2,7 +2,7 @@
 
 from functools import reduce
 
-from marl_lanes.recipes.naf import FOLDER
+from marl_lanes.recipes import FOLDER
 from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.command_line import compose_fields
 from marl_lanes.training.config import read_config

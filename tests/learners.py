@@ -11,7 +11,7 @@ from programs import replaced
 from tensordict import TensorDict
 
 from marl_lanes import LaneChangeEnv
-from marl_lanes.recipes.naf import FOLDER
+from marl_lanes.recipes import FOLDER
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.ddpg import DDPG, DDPGConfig
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig

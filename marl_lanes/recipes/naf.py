@@ -15,6 +15,7 @@ from marl_lanes.evaluation.policies import make_mpc_policy
 from marl_lanes.experiment import run, start
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.naf.encoder import make_encoder
+from marl_lanes.recipes import FOLDER
 from marl_lanes.terminal import lenient_streams
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
@@ -24,17 +25,21 @@ from marl_lanes.training.config import ConfigError, read_changers_config
 from marl_lanes.training.demonstrations import collect_demonstrations, imitate
 from marl_lanes.training.sizes import check_networks
 
-FOLDER = Path(__file__).parent
-"""Of the YAML files."""
-
 DESCRIPTION = """\
 Train the shared NAF policy of all lane changers, evaluate it, write its report.
 
-%(prog)s [scenario=NAME] [recipe=fast|interactive|paper]
-    [network.mu=NAME] [seed=N] [output=DIR] [initial_checkpoint=FILE] [resume=RUN]
-    [collector=multi|ray num_workers=N [ray.address=HOST:PORT]] [any field]
+A recipe has values for all fields: fast (two minutes), interactive or paper. A scenario with two
+actions gets the recipe interactive, others the recipe fast.
 
-A scenario with two actions gets the recipe interactive, others the recipe fast.
+examples:
+  %(prog)s output=runs/first seed=1
+  %(prog)s scenario=interactive output=runs/interactive
+  %(prog)s recipe=paper scenario=touch output=runs/touch
+  %(prog)s network.mu=damped loss.gamma=0.99 output=runs/damped
+  %(prog)s scenario=dense initial_checkpoint=zoo:paper \\
+      demonstrations.num_transitions=0 output=runs/dense
+  %(prog)s collector=multi num_workers=4 output=runs/four
+  %(prog)s resume=runs/first
 """
 
 

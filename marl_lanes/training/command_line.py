@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any, NoReturn, cast
 
 from hydra import compose, initialize_config_dir
@@ -91,7 +93,7 @@ def read_command_line(
     parser = Parser(
         prog=program,
         description=description,
-        epilog="fields:\n" + "\n".join(_describe(kind)),
+        epilog="fields:\n" + "\n".join(map(_wrap, _describe(kind))),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage="%(prog)s [FIELD=VALUE ...] [--import MODULE] [--cfg job]",
     )
@@ -164,6 +166,12 @@ def _explain(error: Exception) -> str:
     reason = " ".join(str(error).split())
     _, is_of_kind, override = reason.partition("Error merging override ")
     return f"{override}: must be of the kind that --cfg job shows" if is_of_kind else reason
+
+
+def _wrap(line: str) -> str:
+    """A line about a field, within the terminal."""
+    width = get_terminal_size().columns - 2
+    return fill(line, width, subsequent_indent="      ", break_on_hyphens=False)
 
 
 def _describe(kind: type[BaseModel], prefix: str = "") -> Iterator[str]:
