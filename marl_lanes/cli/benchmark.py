@@ -46,7 +46,9 @@ def _add_benchmark(commands: Commands) -> None:
         nargs="+",
         choices=TASKS,
         dest="tasks",
-        help="only these, and the policy must fit them (default: all that it fits)",
+        metavar="TASK",
+        help=f"only these of {', '.join(TASKS)}, and the policy must fit them (default: all that "
+        "it fits)",
     )
     benchmark.add_argument(
         "--maneuvers",

@@ -24,7 +24,7 @@ def add(commands: Commands) -> None:
             marl-lanes completion fish > ~/.config/fish/completions/marl-lanes.fish
         """,
     )
-    completion.add_argument("shell", choices=SHELLS)
+    completion.add_argument("shell", choices=SHELLS, metavar="SHELL", help=", ".join(SHELLS))
 
 
 def answer(parser: argparse.ArgumentParser) -> None:

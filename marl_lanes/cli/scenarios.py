@@ -107,7 +107,10 @@ def _validate(options: argparse.Namespace) -> int:
         {"scenario": source, "is_valid": problem is None, "problem": problem}
         for source, problem in problems.items()
     ]
-    lines = [problem or f"{source}: is valid" for source, problem in problems.items()]
+    lines = [
+        f"{source}: is valid" if problem is None else f"{source}: is not valid: {problem}"
+        for source, problem in problems.items()
+    ]
     show_result(options.json, result, "\n".join(lines))
     return 1 if any(problems.values()) else 0
 

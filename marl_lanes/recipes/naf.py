@@ -28,8 +28,8 @@ from marl_lanes.training.sizes import check_networks
 DESCRIPTION = """\
 Train the shared NAF policy of all lane changers, evaluate it, write its report.
 
-A recipe has values for all fields: fast (two minutes), interactive or paper. A scenario with two
-actions gets the recipe interactive, others the recipe fast.
+A recipe has values for all fields: fast (two minutes), interactive or paper. A
+scenario with two actions gets the recipe interactive, others the recipe fast.
 
 examples:
   %(prog)s output=runs/first seed=1
