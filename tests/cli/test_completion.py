@@ -1,6 +1,7 @@
 """Completion: the lines for each shell, and what is answered when TAB is pressed."""
 
 import io
+import os
 
 import argcomplete
 import pytest
@@ -18,6 +19,10 @@ def test_the_lines_for_a_shell_name_the_command(capsys, shell):
     assert ("fish" in out) == (shell == "fish")
 
 
+def raise_error(*_):
+    raise OSError
+
+
 def answered(monkeypatch, line):
     """What is offered at the end of a line."""
     for name, value in (("", "1"), ("_IFS", "|"), ("_SUPPRESS_SPACE", "1"), ("_SHELL", "fish")):
@@ -30,8 +35,8 @@ def answered(monkeypatch, line):
         finder = argcomplete.CompletionFinder()
         finder(parser, exit_method=lambda _: None, output_stream=out)
 
-    # It would write to the descriptor 9, which is not the shell's here.
-    monkeypatch.setattr(argcomplete.CompletionFinder, "_init_debug_stream", lambda _: None)
+    # It would open the descriptor 9, which is not the shell's here.
+    monkeypatch.setattr(os, "fdopen", raise_error)
     monkeypatch.setattr(argcomplete, "autocomplete", autocomplete)
     completion.answer(make_parser())
     return set(filter(None, out.getvalue().split("|")))
