@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import json
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -166,6 +167,15 @@ def test_every_picture_is_an_image_that_make_draws():
     for name in drawn:
         path = ROOT / name
         assert path.read_bytes().startswith(starts[path.suffix]), name
+
+
+@pytest.mark.slow
+def test_the_drawing_of_a_life_has_its_phases(tmp_path):
+    path = tmp_path / "life.svg"
+    runpy.run_path(str(DOCS / "programs" / "life.py"))["main"](["--figure", str(path)])
+    # Above, as a box; below, as a stretch of the example, which aborts and then completes.
+    for phase in ("waiting", "engaged", "aborting"):
+        assert text_of(path).count(f">{phase}</text>") == 2, phase
 
 
 def test_the_pages_are_found_and_linked_from_their_index():

@@ -4,6 +4,7 @@ python docs/programs/life.py --figure FILE [--figure FILE ...]
 """
 
 import argparse
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -45,13 +46,13 @@ ARROWS = (
 """From where to where, what is said of it, and where."""
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Find the example and draw it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--figure", type=Path, action="append", required=True)
-    arguments = parser.parse_args()
+    options = parser.parse_args(arguments)
     scenario = load_scenario("adversarial")
-    draw(scenario, find_example(scenario), arguments.figure)
+    draw(scenario, find_example(scenario), options.figure)
 
 
 def find_example(scenario: Scenario) -> Rows:
