@@ -55,7 +55,7 @@ def read_changers(agents: Records, *, has_longitudinal: bool) -> Columns:
 
     Returns:
         ``mask`` (live), ``steering``, ``aborting`` and ``acting``, (E, A) bool; ``outcome``, (E, A)
-        int64, set in the step that ends a command; ``reward`` and ``episode_reward``, (E, A, 1)
+        int64, set in the step that ends a command; ``reward`` and ``command_reward``, (E, A, 1)
         float32; ``done``, ``terminated`` and ``truncated``, (E, A, 1) bool.
     """
     columns = changer_columns(agents.shape)
@@ -108,7 +108,7 @@ def follower_columns(flat: tuple[int, ...], empty: Callable[..., Any] = np.empty
 def _common(flat: tuple[int, ...], empty: Callable[..., Any]) -> Columns:
     return {
         "reward": empty((*flat, 1), np.float32),
-        "episode_reward": empty((*flat, 1), np.float32),
+        "command_reward": empty((*flat, 1), np.float32),
         "done": empty((*flat, 1), np.bool_),
         "terminated": empty((*flat, 1), np.bool_),
         "truncated": empty((*flat, 1), np.bool_),
@@ -173,7 +173,7 @@ def read_changer(
     acting: Any,
     outcome: Any,
     reward: Any,
-    episode_reward: Any,
+    command_reward: Any,
     done: Any,
     terminated: Any,
     truncated: Any,
@@ -186,7 +186,7 @@ def read_changer(
     acting[env, slot] = is_acting(agent, has_longitudinal)
     outcome[env, slot] = agent.outcome
     reward[env, slot, 0] = agent.reward
-    episode_reward[env, slot, 0] = agent.episode_reward
+    command_reward[env, slot, 0] = agent.episode_reward
     _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])
 
 
@@ -200,7 +200,7 @@ def read_follower(
     mask: Any,
     acting: Any,
     reward: Any,
-    episode_reward: Any,
+    command_reward: Any,
     done: Any,
     terminated: Any,
     truncated: Any,
@@ -210,7 +210,7 @@ def read_follower(
     mask[env, slot] = is_live(agent)
     acting[env, slot] = follower.policy == policy
     reward[env, slot, 0] = follower.reward
-    episode_reward[env, slot, 0] = follower.episode_reward
+    command_reward[env, slot, 0] = follower.episode_reward
     _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])
 
 
@@ -224,7 +224,7 @@ def _read_changers(
     acting: Any,
     outcome: Any,
     reward: Any,
-    episode_reward: Any,
+    command_reward: Any,
     done: Any,
     terminated: Any,
     truncated: Any,
@@ -242,7 +242,7 @@ def _read_changers(
                 acting,
                 outcome,
                 reward,
-                episode_reward,
+                command_reward,
                 done,
                 terminated,
                 truncated,
@@ -257,7 +257,7 @@ def _read_followers(
     mask: Any,
     acting: Any,
     reward: Any,
-    episode_reward: Any,
+    command_reward: Any,
     done: Any,
     terminated: Any,
     truncated: Any,
@@ -273,7 +273,7 @@ def _read_followers(
                 mask,
                 acting,
                 reward,
-                episode_reward,
+                command_reward,
                 done,
                 terminated,
                 truncated,
