@@ -81,11 +81,14 @@ class HostRoads:
 
     def put(self, actions: Numbers | None, follower_actions: Numbers | None) -> None:
         """Set the actions of the next step; None: zeros."""
-        for given, kept in ((actions, self.actions), (follower_actions, self.follower_actions)):
-            if given is None:
-                kept.fill(0.0)
-            else:
-                np.copyto(kept, given)
+        if actions is None:
+            self.actions.fill(0.0)
+        else:
+            np.copyto(self.actions, actions)
+        if follower_actions is None:
+            self.follower_actions.fill(0.0)
+        else:
+            np.copyto(self.follower_actions, follower_actions)
 
     def drive(self, answers: Sequence[tuple[Mask, Numbers]]) -> None:
         """Set the actions of the followers that policies drive: (E, A) bool, and their numbers."""

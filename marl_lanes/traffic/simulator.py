@@ -402,7 +402,7 @@ class Simulator:
         return np.where(is_finite, array, 0.0)
 
     def _advance(self) -> None:
-        if any(self._policies):
+        if self._policies and any(self._policies):
             followers, seen = self.state.followers, self.state.follower_observations
             # Filled in once all have answered.
             answers = ask_policies(self._policies, followers["policy"], seen, self.scenario)
