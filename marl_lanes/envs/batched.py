@@ -247,10 +247,12 @@ class LaneChangeEnv(EnvBase):
             "aborting": mask.clone(),
             "outcome": Bounded(0, max(Outcome), group, dtype=torch.int64, device=_CPU),
         }
-        self.observation_spec = self._grouped(seen)
+        observed = self._grouped(seen)
         if self.has_state:
             shape = (num_envs, self.scenario.max_vehicles, len(STATE_COLUMNS))
-            self.observation_spec["state"] = Unbounded(shape, dtype=torch.float32, device=_CPU)
+            observed["state"] = Unbounded(shape, dtype=torch.float32, device=_CPU)
+        # With all its leaves: it is moved to the device here.
+        self.observation_spec = observed
         self.action_spec = self._grouped(
             {
                 role.group: {"action": self._bounded(role.action_bounds(self.scenario))}
