@@ -48,12 +48,17 @@ class DeviceCollector(TrafficCollector):
 
     def next(self) -> TensorDictBase:
         """The next batch, (E, T); the one after it may be in the same memory."""
-        batch = self._drive(self._now)
-        self._now = batch["last"]
-        steps: TensorDictBase = batch["steps"]
+        steps = self.drive()
         if steps.device is not None and steps.device.type == "cuda":
             # The next to be done is to count the transitions: whoever measures times, has it here.
             torch.cuda.current_stream(steps.device).synchronize()
+        return steps
+
+    def drive(self) -> TensorDictBase:
+        """The next batch, without waiting for it."""
+        batch = self._drive(self._now)
+        self._now = batch["last"]
+        steps: TensorDictBase = batch["steps"]
         return steps
 
     @torch.no_grad()

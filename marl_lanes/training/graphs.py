@@ -11,6 +11,11 @@ NUM_WARMUPS = 3
 Function = Callable[[TensorDictBase], TensorDictBase]
 
 
+def is_capturing() -> bool:
+    """Whether a capture is under way."""
+    return torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
+
+
 def capture(function: Callable[[], TensorDictBase]) -> Callable[[], TensorDictBase]:
     """Record the kernels of a function, without running them.
 

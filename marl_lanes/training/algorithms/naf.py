@@ -34,7 +34,7 @@ from marl_lanes.training.config import (
     Widths,
 )
 from marl_lanes.training.demonstrations import DemonstrationsConfig
-from marl_lanes.training.graphs import Graphed
+from marl_lanes.training.graphs import Graphed, is_capturing
 from marl_lanes.training.transitions import CPU, live_transitions
 
 
@@ -232,9 +232,8 @@ class NAF(OffPolicy):
         if self.config.optimizer.max_gradient_norm is not None:
             clip_grad_norm_(self.joined, self.config.optimizer.max_gradient_norm, foreach=True)
         # Said outside a capture, Adam would warn.
-        is_captured = self.is_graphed and torch.cuda.is_current_stream_capturing()
         for group in self.optimizer.param_groups:
-            group["capturable"] = is_captured
+            group["capturable"] = is_capturing()
         self.optimizer.step()
         if is_target_due:
             self.target_updater.step()
