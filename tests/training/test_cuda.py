@@ -24,7 +24,6 @@ GPU = torch.device("cuda")
 def all_there(*options, seed=0):
     """A learner whose roads, policy, replay and updates are on the GPU."""
 
-
     def make_collector(env, policy, num_steps):
         return DeviceCollector(env, policy, num_steps, is_graphed=env.simulator.is_on_gpu)
 
