@@ -1,9 +1,13 @@
 """On a GPU a function becomes a CUDA graph: its kernels start together, without Python between."""
 
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
 
 NUM_WARMUPS = 3
 """Calls before the capture, in which torch allocates and compiles what it needs."""
@@ -48,10 +52,12 @@ class Graphed:
     Args:
         function: of a tensordict that it may write to, with a result in tensors of its own. It
             must do the same whenever it is called: what is chosen in Python is chosen for ever.
+        keys: of what it reads, where they are there; None: all.
     """
 
-    def __init__(self, function: Function) -> None:
+    def __init__(self, function: Function, keys: Iterable[NestedKey] | None = None) -> None:
         self.function = function
+        self.keys = None if keys is None else list(keys)
         self.num_calls = 0
         self._stream = torch.cuda.Stream() if torch.cuda.is_available() else None
 
@@ -63,14 +69,26 @@ class Graphed:
         """
         self.num_calls += 1
         if self.num_calls <= NUM_WARMUPS:
-            return self._warm_up(given)
+            return self._warm_up(self._select(given))
         if self.num_calls == NUM_WARMUPS + 1:
-            # Its own copy, to which every later input is copied.
-            self._given = given.clone()
-            inside = self._given.copy()
-            self._replay = capture(lambda: self.function(inside))
-        self._given.update_(given)
+            self._capture(self._select(given))
+        for keys, places in self._places.values():
+            torch._foreach_copy_(places, [given.get(key) for key in keys])
         return self._replay()
+
+    def _select(self, given: TensorDictBase) -> TensorDictBase:
+        return given.copy() if self.keys is None else given.select(*self.keys, strict=False)
+
+    def _capture(self, given: TensorDictBase) -> None:
+        """Capture with a copy of the input, to which later ones are copied."""
+        own = given.clone()
+        self._places = defaultdict[torch.dtype, tuple[list[Any], list[Tensor]]](lambda: ([], []))
+        # Those of a dtype go in one kernel.
+        for key, place in own.items(True, True):
+            keys, places = self._places[place.dtype]
+            keys.append(key)
+            places.append(place)
+        self._replay = capture(lambda: self.function(own.copy()))
 
     def _warm_up(self, given: TensorDictBase) -> TensorDictBase:
         """A call on another stream: autograd remembers the streams that it has worked on."""

@@ -100,11 +100,12 @@ def test_two_trainings_of_a_seed_on_a_gpu_are_the_same(tmp_path):
 def test_a_batch_of_steps_and_its_updates_wait_for_nothing(tmp_path):
     learner = all_there()
     learner.begin(tmp_path / "run")
-    for transitions in (0, 0, 0, 0, 200, 200, 200, 200, 200):
-        learner.algorithm.anneal(transitions)
+    for _ in range(20):
+        learner.algorithm.anneal(200)
         batch = learner.collect()
         learner.experience.extend(learner.algorithm.take_in(batch))
-        learner.update(4)
+        if len(learner.experience):
+            learner.update(4)
     mode = torch.cuda.get_sync_debug_mode()
     torch.cuda.set_sync_debug_mode("error")
     try:

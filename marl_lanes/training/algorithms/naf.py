@@ -145,12 +145,12 @@ class NAF(OffPolicy):
         self.network: NAFNetwork = network.to(device)
         self.group = group
         self.device = device
-        parts = self._parts()
+        self.parts = self._parts()
         # One tensor for parameters that learn together: the optimizer's cost is mostly per tensor.
-        self.joined = [join_parameters(parameters) for parameters, _ in parts]
+        self.joined = [join_parameters(parameters) for parameters, _ in self.parts]
         self.gradients = [block.grad for block in self.joined if block.grad is not None]
         rates: dict[float, list[nn.Parameter]] = {}
-        for block, (_, rate) in zip(self.joined, parts, strict=True):
+        for block, (_, rate) in zip(self.joined, self.parts, strict=True):
             rates.setdefault(rate, []).append(block)
         self.rates = tuple(rates)
         self.loss = NAFLoss(network)
@@ -221,14 +221,13 @@ class NAF(OffPolicy):
             return dict(self._update(batch, is_target_due=is_target_due).items())
         choice = self.network.mu_frozen, is_target_due
         if choice not in self.graphs:
-            self.graphs[choice] = Graphed(partial(self._update, is_target_due=is_target_due))
+            update = partial(self._update, is_target_due=is_target_due)
+            self.graphs[choice] = Graphed(update, [*self.loss.in_keys, "steps_to_next_obs"])
         return dict(self.graphs[choice](batch).clone().items())
 
     def _update(self, batch: TensorDictBase, *, is_target_due: bool) -> TensorDict:
-        for gradient in self.gradients:
-            gradient.zero_()
         loss: Tensor = self.compute_loss(batch)["loss"]
-        loss.backward()
+        self._differentiate(loss)
         if self.config.optimizer.max_gradient_norm is not None:
             clip_grad_norm_(self.joined, self.config.optimizer.max_gradient_norm, foreach=True)
         # Said outside a capture, Adam would warn.
@@ -238,3 +237,15 @@ class NAF(OffPolicy):
         if is_target_due:
             self.target_updater.step()
         return TensorDict({"loss": loss.detach()}, [])
+
+    def _differentiate(self, loss: Tensor) -> None:
+        """Set the gradients of what learns, block by block: ``backward`` adds to each weight's."""
+        learning = [
+            (block.grad, parameters)
+            for block, (parameters, _) in zip(self.joined, self.parts, strict=True)
+            if block.grad is not None
+        ]
+        weights = [weight for _, parameters in learning for weight in parameters]
+        found = iter(torch.autograd.grad(loss, weights, materialize_grads=True))
+        for place, parameters in learning:
+            torch.cat([next(found).flatten() for _ in parameters], out=place)
