@@ -4,6 +4,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from marl_lanes.envs.followers import find_policies
+from marl_lanes.envs.gpu_exchange import Exchange
 from marl_lanes.envs.tensordict_internals import make_tensordict
 from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables
 from marl_lanes.memory import check_memory
@@ -98,13 +100,21 @@ class LaneChangeEnv(EnvBase):
     and actions, road 0 has the same trajectory as the PettingZoo environment, whose ``reset`` skips
     the episodes that end before the first command; here they are driven, with an empty ``mask``.
 
+    With ``device="cuda"`` a step does not wait for the GPU, and its tensors are new ones. Its
+    kernels are on torch's present stream, also while a CUDA graph is captured. A non-finite action
+    of an acting agent stops the roads before that step; the error comes from a later step, or from
+    the first call that waits, such as ``simulator.snapshot``. ``seconds`` leaves out what the GPU
+    does meanwhile. Policies of followers, ``render`` and a reset with a mask in the computer's
+    memory copy and wait.
+
     Use it from one thread at a time. ``make`` functions without a seed make environments that
     differ, also in workers; a copy (pickle, deepcopy) goes on with the same random numbers.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
         num_envs: E, >= 1.
-        device: where the tensors are; the traffic stays on the CPU.
+        device: where the traffic and the tensors are: ``cpu``, or ``cuda[:N]`` for a GPU. With
+            another device, and after ``to``, only the tensors are there.
         seed: of the random numbers, 0 to 2^64 - 1. None: drawn from the system's entropy, as by
             ``set_seed(None)``.
         num_threads: as for ``Simulator``.
@@ -127,7 +137,8 @@ class LaneChangeEnv(EnvBase):
     Raises:
         ScenarioError: the scenario is invalid, or a follower of its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
-        MissingExtraError: render_mode needs the extra ``view``, which is not installed.
+        MissingExtraError: render_mode needs the extra ``view``, or device the extra ``gpu``, which
+            is not installed.
         ValueError: another argument has a wrong type, is out of range, or needs more memory than
             there is.
     """
@@ -153,12 +164,15 @@ class LaneChangeEnv(EnvBase):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {shown(render_mode)}: must be None or 'rgb_array'")
         chosen_device = None if device is None else _check_device(device)
+        is_there = chosen_device is not None and chosen_device.type == "cuda"
         loaded = load_scenario(scenario, overrides)
         learned_followers = check_flag("learned_followers", learned_followers)
         num_envs = check_whole("num_envs", num_envs, 1, sys.maxsize)
         self.has_state = check_flag("has_state", has_state)
-        size = _bytes_of_road(loaded, learned_followers) + self.has_state * bytes_of_state(loaded)
-        check_memory("num_envs", num_envs, num_envs * size)
+        if not is_there:
+            size = _bytes_of_road(loaded, learned_followers)
+            size += self.has_state * bytes_of_state(loaded)
+            check_memory("num_envs", num_envs, num_envs * size)
         self.simulator = Simulator(
             loaded,
             num_envs,
@@ -169,10 +183,16 @@ class LaneChangeEnv(EnvBase):
                 loaded, follower_policies, has_learner=learned_followers
             ),
             first_road=first_road,
+            device=chosen_device if is_there else "cpu",
         )
         super().__init__(device=chosen_device, batch_size=torch.Size([num_envs]))
         self.scenario = self.simulator.scenario
         self.roles = self.simulator.roles
+        self._exchange = (
+            Exchange(self.simulator, chosen_device, self.roles, self.has_state)
+            if chosen_device is not None and is_there
+            else None
+        )
         self.group_map = {
             role.group: [f"{role.name}_{slot}" for slot in range(self.simulator.num_slots)]
             for role in self.roles
@@ -295,20 +315,49 @@ class LaneChangeEnv(EnvBase):
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = None
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118
-            mask = tensordict["_reset"].reshape(self.simulator.num_envs).cpu().numpy()
-        if mask is not None or not self._is_restored:
-            self.simulator.reset(mask)
-            for road, renderer in self._renderers.items():
-                if mask is None or mask[road]:
-                    renderer.restart()
+            mask = tensordict["_reset"].reshape(self.simulator.num_envs)
+            if self._exchange is None or mask.device != self._exchange.device:
+                mask = mask.cpu().numpy()
+        with self._streamed():
+            if mask is not None or not self._is_restored:
+                self.simulator.reset(mask)
+                for road, renderer in self._renderers.items():
+                    if mask is None or mask[road]:
+                        renderer.restart()
+            if self._exchange is not None:
+                return self._reset_there(self._exchange)
         groups = self._read_out()
         for columns in groups.values():
             for key in ("reward", *_ENDS):
                 del columns[key]
         return self._make_tensordict(groups, **self._read_state())
 
+    def _reset_there(self, exchange: Exchange) -> TensorDict:
+        groups, root = exchange.read()
+        for columns in groups.values():
+            for key in ("reward", *_ENDS):
+                del columns[key]
+        root = {key: value for key, value in root.items() if key not in _ENDS}
+        return self._gather(exchange, groups, root)
+
+    def _step_there(self, exchange: Exchange, tensordict: TensorDictBase) -> TensorDict:
+        """The step of roads on a GPU, which nothing waits for."""
+        with exchange.stream():
+            exchange.put(tensordict)
+            for renderer in self._renderers.values():
+                renderer.note()
+            self.simulator.advance()
+            self._is_restored = False
+            return self._gather(exchange, *exchange.read())
+
+    def _streamed(self) -> AbstractContextManager[None]:
+        """Work on a GPU is on torch's present stream there."""
+        return nullcontext() if self._exchange is None else self._exchange.stream()
+
     @_timed
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        if self._exchange is not None:
+            return self._step_there(self._exchange, tensordict)
         simulator = self.simulator
         actions = [_read_actions(tensordict, role.group) for role in self.roles]
         for renderer in self._renderers.values():
@@ -356,7 +405,7 @@ class LaneChangeEnv(EnvBase):
     def _make_tensordict(
         self, groups: Mapping[str, Mapping[str, NDArray[Any]]], **root: NDArray[Any]
     ) -> TensorDict:
-        shape = torch.Size(self.simulator.agents.shape)
+        shape = torch.Size((self.simulator.num_envs, self.simulator.num_slots))
         device = self.device
         is_elsewhere = device is not None and device.type != "cpu"
         near = _CPU if is_elsewhere else device
@@ -371,21 +420,39 @@ class LaneChangeEnv(EnvBase):
         tensordict = make_tensordict(made, self.batch_size, near)
         return tensordict.to(device) if is_elsewhere else tensordict
 
+    def _gather(
+        self,
+        exchange: Exchange,
+        groups: Mapping[str, Mapping[str, torch.Tensor]],
+        root: Mapping[str, torch.Tensor],
+    ) -> TensorDict:
+        """A tensordict of what was read on a GPU."""
+        there = exchange.device
+        shape = torch.Size((self.simulator.num_envs, self.simulator.num_slots))
+        made: dict[str, Any] = {
+            name: make_tensordict(group, shape, there) for name, group in groups.items()
+        }
+        tensordict = make_tensordict(made | dict(root), self.batch_size, there)
+        return tensordict if self.device == there else tensordict.to(self.device)
+
     def _set_seed(self, seed: int | None) -> None:
-        self.simulator.seed(seed)
+        with self._streamed():
+            self.simulator.seed(seed)
 
 
 def _check_device(device: torch.device | str) -> torch.device:
     """The device, if tensors can be moved to it."""
     try:
         chosen = torch.device(device)
-        torch.zeros(1, device=_CPU).to(chosen).cpu()
+        # With its number, as tensors there have it.
+        moved = torch.zeros(1, device=_CPU).to(chosen)
+        moved.cpu()
     except (AssertionError, RuntimeError, TypeError) as error:
         reason = str(error).partition("\n")[0]
         raise ValueError(
             f"device = {shown(device)}: must be cpu, or a device that is here: {reason}"
         ) from None
-    return chosen
+    return moved.device
 
 
 def _bytes_of_road(scenario: Scenario, has_followers: bool) -> int:

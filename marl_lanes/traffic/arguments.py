@@ -91,6 +91,30 @@ def read_mask(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np.bo
     return np.ascontiguousarray(array)
 
 
+def is_on_gpu(given: object) -> bool:
+    """Whether it is an array in the memory of a GPU."""
+    return hasattr(given, "__cuda_array_interface__")
+
+
+def check_form(name: str, given: Any, shape: tuple[int, ...], kinds: str) -> None:
+    """Refuse an array on a GPU of another shape or type.
+
+    Args:
+        name: for the message.
+        given: has ``__cuda_array_interface__``.
+        shape: that it must have.
+        kinds: the types that it may have, in numpy's characters.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    form = given.__cuda_array_interface__
+    if np.dtype(form["typestr"]).char not in kinds:
+        raise ValueError(f"{name} = {shown(given)}: must not be of type {form['typestr']}")
+    if tuple(form["shape"]) != shape:
+        raise ValueError(f"{name}: shape {tuple(form['shape'])}, must be {shape}")
+
+
 def _as_array(name: str, given: object, shape: tuple[int, ...]) -> NDArray[Any]:
     try:
         array = np.asarray(given)

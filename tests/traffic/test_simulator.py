@@ -12,7 +12,7 @@ import pytest
 from staging import command, damped_actions, stage
 
 from marl_lanes.scenario import ScenarioError
-from marl_lanes.traffic import simulator as simulator_module
+from marl_lanes.traffic import host
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.simulator import MAX_WAIT, Simulator
 
@@ -173,14 +173,12 @@ def test_waiting_for_a_command_that_does_not_come_is_an_error(overrides):
 
 def test_the_steps_of_a_call_are_bounded_and_their_number_changes_nothing(monkeypatch):
     states = []
-    for work in (1, simulator_module._WORK_PER_CALL):
-        monkeypatch.setattr(simulator_module, "_WORK_PER_CALL", work)
+    for work in (1, host._WORK_PER_CALL):
+        monkeypatch.setattr(host, "_WORK_PER_CALL", work)
         simulator = Simulator("paper", 3, seed=3)
-        calls = []
-        run = simulator._run
-        monkeypatch.setattr(
-            simulator, "_run", lambda *a, run=run, calls=calls: calls.append(run(*a))
-        )
+        calls, roads = [], simulator._roads
+        run = roads._run
+        monkeypatch.setattr(roads, "_run", lambda *a, run=run, calls=calls: calls.append(run(*a)))
         simulator.reset()
         simulator.advance_until_live()
         states.append(simulator.state.tobytes())
