@@ -19,17 +19,18 @@ from typing import Any
 
 import torch
 
-from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario
+from marl_lanes import LaneChangeEnv, Scenario
 from marl_lanes.evaluation.metrics import evaluate
 from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.experiment import start
 from marl_lanes.files import write_json
-from marl_lanes.naf.checkpoint import greedy_policy
+from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.command_line import compose_fields, refusing
 from marl_lanes.training.config import read_config
 from marl_lanes.training.learner import Learner
+from marl_lanes.training.transitions import CPU
 
 FOLDER = Path(__file__).parents[1] / "agents" / "naf"
 DEFAULTS = (
@@ -37,7 +38,6 @@ DEFAULTS = (
     "device=cuda",
     # Untrained, the structure cascade drives well: what is measured would be nothing.
     "network.mu=paper",
-    "evaluation.save_interval=300000",
 )
 FIXED = ("evaluation.criterion=null", "evaluation.record=false", "demonstrations.num_transitions=0")
 GOOD_RATIO, GOOD_RATE = 1.10, 0.99
@@ -46,12 +46,12 @@ NUM_UPDATES = 1024
 Row = dict[str, float | str]
 
 
-def train(config: TrainingConfig) -> tuple[Learner, Scenario, list[tuple[NAFNetwork, float]]]:
+def train(config: TrainingConfig) -> tuple[Learner, Scenario, list[tuple[PolicyNetwork, float]]]:
     """Train; copies of the network, untrained first, and the seconds of training before each."""
-    saved: list[tuple[NAFNetwork, float]] = []
+    saved: list[tuple[PolicyNetwork, float]] = []
 
-    def keep(network: NAFNetwork, seconds: float) -> None:
-        saved.append((copy.deepcopy(network).cpu(), seconds))
+    def keep(network: PolicyNetwork, seconds: float) -> None:
+        saved.append((copy.deepcopy(network).to(CPU), seconds))
 
     def make(env: LaneChangeEnv, scenario: Scenario, *devices: torch.device) -> NAF:
         network = make_network(scenario, config.network.mu, config.network.hidden_sizes)
@@ -60,7 +60,7 @@ def train(config: TrainingConfig) -> tuple[Learner, Scenario, list[tuple[NAFNetw
 
     learner, scenario = start(config, make, "benchmarks/gpu_training.py")
 
-    def note(network: NAFNetwork, _: Path | None) -> Mapping[str, Any]:
+    def note(network: PolicyNetwork, _: Path | None) -> Mapping[str, Any]:
         keep(network, learner.counters["seconds_training"])
         return dict.fromkeys(config.evaluation.metrics)
 
@@ -89,7 +89,7 @@ def wait() -> None:
 
 
 def measure_model(
-    network: NAFNetwork, scenario: Scenario, config: TrainingConfig
+    network: PolicyNetwork, scenario: Scenario, config: TrainingConfig
 ) -> tuple[float, float]:
     """Cost ratio and success rate."""
     settings = config.evaluation

@@ -49,9 +49,11 @@ class DeviceCollector(TrafficCollector):
     def next(self) -> TensorDictBase:
         """The next batch, (E, T); the one after it may be in the same memory."""
         steps = self.drive()
-        if steps.device is not None and steps.device.type == "cuda":
-            # The next to be done is to count the transitions: whoever measures times, has it here.
-            torch.cuda.current_stream(steps.device).synchronize()
+        if self.env.simulator.is_on_gpu:
+            # What comes next counts the transitions: the times that are measured have it here.
+            torch.cuda.current_stream(self.env.device).synchronize()
+            # A replayed step does not look.
+            self.env.simulator.gpu_roads.check(wait=False)
         return steps
 
     def drive(self) -> TensorDictBase:
