@@ -2,8 +2,8 @@
 
 python benchmarks/gpu_training.py [--json FILE] [FIELD=VALUE ...]
 
-The fields are those of agents/naf/train.py. What is trained is its recipe gpu, from an untrained
-network. The time is that of the training; capturing graphs is in it, evaluating and saving are not.
+The fields are those of agents/naf/train.py, and its recipe is fast but for DEFAULTS: the numbers of
+many roads, and of a network that is untrained and drives badly before. The time is that of the training; capturing graphs is in it, evaluating and saving are not.
 The models that it saves are evaluated afterwards, on the CPU, until one is good, and the last one.
 """
 
@@ -34,10 +34,24 @@ from marl_lanes.training.transitions import CPU
 
 FOLDER = Path(__file__).parents[1] / "agents" / "naf"
 DEFAULTS = (
-    "recipe=gpu",
+    "recipe=fast",
     "device=cuda",
     # Untrained, the structure cascade drives well: what is measured would be nothing.
     "network.mu=paper",
+    "collector.num_envs=8192",
+    "collector.steps_per_batch=8",
+    "collector.total_transitions=6000000",
+    "replay.batch_size=1024",
+    "loss.gamma=0.99",
+    "loss.num_steps=1",
+    "loss.tau=0.02",
+    "optimizer.mu_learning_rate=0.0003",
+    "optimizer.transitions_per_update=512",
+    "optimizer.pretraining_transitions=1600000",
+    "exploration.initial_sigma=0.1",
+    "exploration.final_sigma=0.02",
+    "exploration.probability=1.0",
+    "evaluation.save_interval=600000",
 )
 FIXED = ("evaluation.criterion=null", "evaluation.record=false", "demonstrations.num_transitions=0")
 GOOD_RATIO, GOOD_RATE = 1.10, 0.99
