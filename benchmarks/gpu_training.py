@@ -3,7 +3,8 @@
 python benchmarks/gpu_training.py [--json FILE] [FIELD=VALUE ...]
 
 The fields are those of agents/naf/train.py, and its recipe is fast but for DEFAULTS: the numbers of
-many roads, and of a network that is untrained and drives badly before. The time is that of the training; capturing graphs is in it, evaluating and saving are not.
+many roads, and of a network that is untrained and drives badly before. The time is that of the
+training; capturing graphs is in it, evaluating and saving are not.
 The models that it saves are evaluated afterwards, on the CPU, until one is good, and the last one.
 """
 

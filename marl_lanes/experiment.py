@@ -74,6 +74,9 @@ def start(
             need(package, "view")
     torch.set_num_threads(config.num_threads)
     device = torch.device(config.device)
+    if device.index is not None:
+        # A graph is captured on torch's present GPU.
+        torch.cuda.set_device(device)
     # Workers have the roads on the CPU.
     acting_device = device if config.collector.kind == "single" else CPU
     env = LaneChangeEnv(
