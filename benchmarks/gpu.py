@@ -38,6 +38,8 @@ ENVS = (1024, 8192, 65_536, 262_144)
 TESTS = ("tests/traffic/test_gpu.py", "tests/envs/test_gpu_exchange.py")
 ROOT = Path(__file__).parents[1]
 ROUNDS = 5
+# torch.cuda carries no complete types.
+cuda: Any = torch.cuda
 COPIED = 2**30
 """[bytes]"""
 
@@ -47,14 +49,14 @@ def time_on_gpu(call: Callable[[], object], number: int) -> float:
     call()
     times = []
     for _ in range(ROUNDS):
-        start, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        start, end = (cuda.Event(enable_timing=True) for _ in range(2))
         torch.cuda.synchronize()
         start.record()
         for _ in range(number):
             call()
         end.record()
         torch.cuda.synchronize()
-        times.append(1e-3 * start.elapsed_time(end) / number)
+        times.append(float(1e-3 * start.elapsed_time(end) / number))
     return statistics.median(times)
 
 
@@ -72,7 +74,7 @@ def count_bytes(simulator: Simulator) -> float:
     per_vehicle = state.vehicles.itemsize + state.order.itemsize
     per_agent = state.agents.itemsize + 4 * state.observations.shape[2]
     per_road = roads.itemsize + state.lanes.itemsize * state.lanes.shape[1]
-    return 2 * (vehicles * per_vehicle + live * per_agent + per_road)
+    return float(2 * (vehicles * per_vehicle + live * per_agent + per_road))
 
 
 def time_cpu(num_envs: int) -> tuple[float, float]:
@@ -90,7 +92,7 @@ def time_cpu(num_envs: int) -> tuple[float, float]:
 
 def capture(call: Callable[[], object]) -> Callable[[], object]:
     """The call as a CUDA graph."""
-    stream = torch.cuda.Stream()
+    stream = cuda.Stream()
     stream.wait_stream(torch.cuda.current_stream())
     with torch.cuda.stream(stream):
         call()

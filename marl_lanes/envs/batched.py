@@ -1,11 +1,8 @@
 """The TorchRL environment: E roads that advance together, their agents in reusable slots."""
 
-import os
 import sys
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
-from functools import cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +14,9 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from marl_lanes.envs.followers import find_policies
-from marl_lanes.envs.gpu_exchange import Exchange
+from marl_lanes.envs.gpu_exchange import Exchange, check_device
 from marl_lanes.envs.tensordict_internals import make_tensordict
+from marl_lanes.envs.timing import timed
 from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
@@ -39,30 +37,6 @@ _ENDS = ("done", "terminated", "truncated")
 _CPU = torch.device("cpu")
 _BYTES_OF_SLOT = 32
 """Of an agent's masks, ends, rewards and outcome."""
-
-_PROCESS = os.getpid()
-"""The process that imported this module: another one was forked from it."""
-
-
-@cache
-def _prepare_torch(process: int) -> None:
-    """In a forked process torch's threads are gone: it would wait for them for ever."""
-    if process != _PROCESS:
-        torch.set_num_threads(1)
-
-
-def _timed(method: Callable[..., TensorDict]) -> Callable[..., TensorDict]:
-    """Add the wall time of each call to the environment's ``seconds``; works after a fork."""
-
-    @wraps(method)
-    def timed(self: Any, *args: Any, **kwargs: Any) -> TensorDict:
-        _prepare_torch(os.getpid())
-        start = time.perf_counter()
-        result = method(self, *args, **kwargs)
-        self.seconds += time.perf_counter() - start
-        return result
-
-    return timed
 
 
 class LaneChangeEnv(EnvBase):
@@ -163,7 +137,7 @@ class LaneChangeEnv(EnvBase):
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {shown(render_mode)}: must be None or 'rgb_array'")
-        chosen_device = None if device is None else _check_device(device)
+        chosen_device = None if device is None else check_device(device)
         is_there = chosen_device is not None and chosen_device.type == "cuda"
         loaded = load_scenario(scenario, overrides)
         learned_followers = check_flag("learned_followers", learned_followers)
@@ -311,7 +285,7 @@ class LaneChangeEnv(EnvBase):
         inner = {name: Composite(dict(leaves), shape=shape) for name, leaves in groups.items()}
         return Composite(inner, shape=shape[:1])
 
-    @_timed
+    @timed
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = None
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118
@@ -325,20 +299,12 @@ class LaneChangeEnv(EnvBase):
                     if mask is None or mask[road]:
                         renderer.restart()
             if self._exchange is not None:
-                return self._reset_there(self._exchange)
+                return self._exchange.read(self.device, is_start=True)
         groups = self._read_out()
         for columns in groups.values():
             for key in ("reward", *_ENDS):
                 del columns[key]
         return self._make_tensordict(groups, **self._read_state())
-
-    def _reset_there(self, exchange: Exchange) -> TensorDict:
-        groups, root = exchange.read()
-        for columns in groups.values():
-            for key in ("reward", *_ENDS):
-                del columns[key]
-        root = {key: value for key, value in root.items() if key not in _ENDS}
-        return self._gather(exchange, groups, root)
 
     def _step_there(self, exchange: Exchange, tensordict: TensorDictBase) -> TensorDict:
         """The step of roads on a GPU, which nothing waits for."""
@@ -348,13 +314,13 @@ class LaneChangeEnv(EnvBase):
                 renderer.note()
             self.simulator.advance()
             self._is_restored = False
-            return self._gather(exchange, *exchange.read())
+            return exchange.read(self.device)
 
     def _streamed(self) -> AbstractContextManager[None]:
         """Work on a GPU is on torch's present stream there."""
         return nullcontext() if self._exchange is None else self._exchange.stream()
 
-    @_timed
+    @timed
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         if self._exchange is not None:
             return self._step_there(self._exchange, tensordict)
@@ -420,39 +386,9 @@ class LaneChangeEnv(EnvBase):
         tensordict = make_tensordict(made, self.batch_size, near)
         return tensordict.to(device) if is_elsewhere else tensordict
 
-    def _gather(
-        self,
-        exchange: Exchange,
-        groups: Mapping[str, Mapping[str, torch.Tensor]],
-        root: Mapping[str, torch.Tensor],
-    ) -> TensorDict:
-        """A tensordict of what was read on a GPU."""
-        there = exchange.device
-        shape = torch.Size((self.simulator.num_envs, self.simulator.num_slots))
-        made: dict[str, Any] = {
-            name: make_tensordict(group, shape, there) for name, group in groups.items()
-        }
-        tensordict = make_tensordict(made | dict(root), self.batch_size, there)
-        return tensordict if self.device == there else tensordict.to(self.device)
-
     def _set_seed(self, seed: int | None) -> None:
         with self._streamed():
             self.simulator.seed(seed)
-
-
-def _check_device(device: torch.device | str) -> torch.device:
-    """The device, if tensors can be moved to it."""
-    try:
-        chosen = torch.device(device)
-        # With its number, as tensors there have it.
-        moved = torch.zeros(1, device=_CPU).to(chosen)
-        moved.cpu()
-    except (AssertionError, RuntimeError, TypeError) as error:
-        reason = str(error).partition("\n")[0]
-        raise ValueError(
-            f"device = {shown(device)}: must be cpu, or a device that is here: {reason}"
-        ) from None
-    return moved.device
 
 
 def _bytes_of_road(scenario: Scenario, has_followers: bool) -> int:

@@ -1,13 +1,15 @@
 """What an environment gives to roads on a GPU and takes from them, in torch's tensors there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 
+from marl_lanes.envs.tensordict_internals import make_tensordict
 from marl_lanes.envs.vehicle_table import STATE_COLUMNS
+from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.readout import changer_columns, follower_columns
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.role import Role
@@ -21,8 +23,6 @@ _DTYPES = {
     np.dtype(np.float32): torch.float32,
     np.dtype(np.int64): torch.int64,
 }
-
-Tensors = dict[str, torch.Tensor]
 
 
 class Exchange:
@@ -46,6 +46,7 @@ class Exchange:
         self._roles = tuple(roles)
         self.device = device
         roads, flat = self._roads, (simulator.num_envs, simulator.num_slots)
+        self._shape = torch.Size(flat)
         self._actions = {
             role.group: torch.as_tensor(there, device=device)
             for role, there in zip(
@@ -57,7 +58,7 @@ class Exchange:
             for role in roles
         }
         self._places: list[tuple[slice, tuple[int, ...], torch.dtype]] = []
-        self._columns = {
+        self._columns: dict[str, dict[str, Any]] = {
             role.group: (changer_columns if role is CHANGER else follower_columns)(flat, self._add)
             for role in roles
         }
@@ -67,7 +68,20 @@ class Exchange:
         rows = (flat[0], simulator.scenario.max_vehicles, len(STATE_COLUMNS))
         self._tables = {"state": self._add(rows, np.float32)} if has_state else {}
         self._memory = torch.empty(self._size, dtype=torch.uint8, device=device)
-        self._arrays = [roads.share(one) for one in self._divide(self._memory)]
+        arrays = [roads.share(one) for one in self._divide(self._memory)]
+        ends = [arrays[number] for number in self._ends.values()]
+        self._readouts = [
+            *(self._make_readout(role, arrays, ends) for role in roles),
+            *(roads.make_table_readout(arrays[number]) for number in self._tables.values()),
+        ]
+
+    def _make_readout(
+        self, role: Role, arrays: Sequence[Any], ends: Sequence[Any]
+    ) -> Callable[[], None]:
+        columns = {key: arrays[number] for key, number in self._columns[role.group].items()}
+        if role is CHANGER:
+            return self._roads.make_readout(columns, ends)
+        return self._roads.make_follower_readout(columns)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy shares the memory of its own roads."""
@@ -116,24 +130,38 @@ class Exchange:
             self._actions[group].copy_(action.detach())
         self._roads.check_actions()
 
-    def read(self) -> tuple[dict[str, Tensors], Tensors]:
-        """New tensors: those of the groups, and those of the root."""
-        arrays, roads = self._arrays, self._roads
-        ends = [arrays[number] for number in self._ends.values()]
-        for role in self._roles:
-            columns = {key: arrays[place] for key, place in self._columns[role.group].items()}
-            if role is CHANGER:
-                roads.read_changers(columns, ends)
-            else:
-                roads.read_followers(columns)
-        for number in self._tables.values():
-            roads.read_vehicles(arrays[number])
+    def read(self, device: torch.device | None, *, is_start: bool = False) -> TensorDict:
+        """New tensors of what the roads give.
+
+        Args:
+            device: of the result.
+            is_start: without rewards and ends, as after a reset.
+        """
+        for readout in self._readouts:
+            readout()
         tensors = self._divide(self._memory.clone())
-        groups = {
-            group: {key: tensors[number] for key, number in columns.items()}
-            for group, columns in self._columns.items()
-        }
-        for group, observations in self._observations.items():
-            groups[group]["observation"] = observations.clone()
-        root = self._ends | self._tables
-        return groups, {key: tensors[number] for key, number in root.items()}
+        left_out = ("reward", *self._ends) if is_start else ()
+        made: dict[str, Any] = {}
+        for group, columns in self._columns.items():
+            read = {key: tensors[one] for key, one in columns.items() if key not in left_out}
+            read["observation"] = self._observations[group].clone()
+            made[group] = make_tensordict(read, self._shape, self.device)
+        root = self._tables if is_start else self._ends | self._tables
+        made |= {key: tensors[number] for key, number in root.items()}
+        result = make_tensordict(made, self._shape[:1], self.device)
+        return result if device == self.device else result.to(device)
+
+
+def check_device(device: torch.device | str) -> torch.device:
+    """The device, if tensors can be moved to it."""
+    try:
+        chosen = torch.device(device)
+        # With its number, as tensors there have it.
+        moved = torch.zeros(1, device="cpu").to(chosen)
+        moved.cpu()
+    except (AssertionError, RuntimeError, TypeError) as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(
+            f"device = {shown(device)}: must be cpu, or a device that is here: {reason}"
+        ) from None
+    return moved.device

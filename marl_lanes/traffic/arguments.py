@@ -1,5 +1,6 @@
 """What callers give, checked: whole numbers, flags, functions, arrays; refused in one line."""
 
+import secrets
 import sys
 from collections.abc import Mapping
 from typing import Any
@@ -8,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_lanes.scenario.messages import shown
+
+_LAST_SEED = 2**64 - 1
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> int:
@@ -21,6 +24,17 @@ def check_whole(name: str, value: object, low: int, high: int) -> int:
         last = high if high < 2**32 else f"2^{high.bit_length()} - 1"
         raise ValueError(f"{name} = {shown(value)}: must be a whole number, {low} to {last}")
     return int(value)  # type: ignore[call-overload, no-any-return]
+
+
+def choose_seed(seed: int | None) -> int:
+    """The seed, or one of 63 bits from the system's entropy.
+
+    Raises:
+        ValueError: it is no whole number from 0 to 2^64 - 1.
+    """
+    if seed is not None:
+        return check_whole("seed", seed, 0, _LAST_SEED)
+    return secrets.randbits(63)
 
 
 def check_flag(name: str, value: object) -> bool:

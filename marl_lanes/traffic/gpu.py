@@ -1,9 +1,9 @@
 """Roads on a GPU: their arrays in its memory, and the launches of the kernels that change them."""
 
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from marl_lanes.traffic import gpu_kernels as kernels
 from marl_lanes.traffic.arguments import is_on_gpu
 from marl_lanes.traffic.host import Mask, Numbers
+from marl_lanes.traffic.machine.launches import Launch, configure
 from marl_lanes.traffic.machine.state import State
 from marl_lanes.traffic.parameters import Parameters
 from marl_lanes.traffic.step import RESET, SKIP, STEP, WARM_UP
@@ -89,7 +90,6 @@ class GpuRoads:
     ) -> None:
         self.parameters = parameters
         self._kept: dict[bytes, DeviceArray] = {}
-        self._launches: dict[tuple[Any, ...], Callable[..., None]] = {}
         with cuda.gpus[self._gpu]:
             self.tables = State(
                 *(_empty((num_roads, *array.shape[1:]), array.dtype) for array in road.arrays)
@@ -109,6 +109,19 @@ class GpuRoads:
         warmup = parameters.constants[0]["warmup_high"] / parameters.constants[0]["time_step"]
         self._warmup_steps = math.ceil(warmup)
         self.state = FetchedState(self)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """What every step launches."""
+        actions, behind, tables = self.actions_there, self.follower_actions_there, self.tables
+        alarms = self._refused, self._alarms
+        step = self._advance_arguments(STEP, self._every_road, 1)
+        self._step = Launch(kernels.advance, len(self._every_road), step, self.threads)
+        has_longitudinal = actions.shape[2] > 1
+        check = (actions, tables.agents, has_longitudinal, *alarms)
+        self._check = Launch(kernels.check_actions, actions.size, check, _THREADS)
+        check = (behind, tables.followers, self._learner, *alarms)
+        self._check_followers = Launch(kernels.check_follower_actions, behind.size, check, _THREADS)
 
     @property
     def actions(self) -> NDArray[np.float64]:
@@ -234,15 +247,9 @@ class GpuRoads:
             ValueError: an earlier action was refused, see ``check``.
         """
         self.check(wait=False)
-        alarms = self._refused, self._alarms
-        actions, agents = self.actions_there, self.tables.agents
-        has_longitudinal = actions.shape[2] > 1
-        given = (actions, agents, has_longitudinal, *alarms)
-        self._launch(kernels.check_actions, actions.size, *given)
+        self._repeat(self._check)
         if self.parameters.constants[0]["num_external"] > 0:
-            behind, followers = self.follower_actions_there, self.tables.followers
-            given = (behind, followers, self._learner, *alarms)
-            self._launch(kernels.check_follower_actions, behind.size, *given)
+            self._repeat(self._check_followers)
 
     def drive(self, answers: Sequence[tuple[Mask, Numbers]]) -> None:
         """Set the actions of the followers that policies drive: (E, A) bool, and their numbers."""
@@ -255,7 +262,7 @@ class GpuRoads:
 
     def step(self) -> None:
         """Advance every road by one time step: one launch."""
-        self._run(STEP, self._every_road, 1)
+        self._repeat(self._step)
 
     def skip(self, num_steps: int) -> None:
         """Advance each road without a live agent until it has one, or its episode is over."""
@@ -267,41 +274,40 @@ class GpuRoads:
             if content.size > 0:
                 self._send(content.copy(), array)
 
-    def read_changers(
+    def make_readout(
         self, columns: Mapping[str, DeviceArray], ends: Sequence[DeviceArray]
-    ) -> None:
-        """Fill ``changer_columns``, and the roads' done, terminated and truncated, (E, 1) bool."""
+    ) -> Callable[[], None]:
+        """What fills ``changer_columns``, and the roads' ends, three (E, 1) bool."""
         agents, roads = self.tables.agents, self.tables.roads
         has_longitudinal = self.actions_there.shape[2] > 1
         given = (agents, has_longitudinal, *columns.values(), roads, *ends)
-        self._launch(kernels.read_changers, agents.size, *given)
+        return self._make_repeated(kernels.read_changers, agents.size, given)
 
-    def read_followers(self, columns: Mapping[str, DeviceArray]) -> None:
-        """Fill ``follower_columns``."""
+    def make_follower_readout(self, columns: Mapping[str, DeviceArray]) -> Callable[[], None]:
+        """What fills ``follower_columns``."""
         agents, followers = self.tables.agents, self.tables.followers
         given = (agents, followers, self._learner, *columns.values())
-        self._launch(kernels.read_followers, agents.size, *given)
+        return self._make_repeated(kernels.read_followers, agents.size, given)
 
-    def read_vehicles(self, rows: DeviceArray) -> None:
-        """Fill (E, V, columns) float32 as ``read_vehicle_tables`` does."""
+    def make_table_readout(self, rows: DeviceArray) -> Callable[[], None]:
+        """What fills (E, V, columns) float32 as ``read_vehicle_tables`` does."""
         tables = self.tables
         given = (tables.roads, tables.order, tables.vehicles, rows)
-        self._launch(kernels.read_vehicles, tables.order.size, *given)
+        return self._make_repeated(kernels.read_vehicles, tables.order.size, given)
+
+    def _make_repeated(
+        self, kernel: Callable[..., None], number: int, given: tuple[Any, ...]
+    ) -> Callable[[], None]:
+        return partial(self._repeat, Launch(kernel, number, given, _THREADS))
 
     def _run(self, mode: int, mask: DeviceArray, num_steps: int) -> None:
-        given = (
-            self.actions_there,
-            self.follower_actions_there,
-            *self.tables.arrays,
-            *self._constants,
-        )
+        given = self._advance_arguments(mode, mask, num_steps)
+        self._launch(kernels.advance, len(mask), *given, threads=self.threads)
+
+    def _advance_arguments(self, mode: int, mask: DeviceArray, num_steps: int) -> tuple[Any, ...]:
+        actions = self.actions_there, self.follower_actions_there
         numbers = np.int64(mode), np.int64(num_steps)
-        self._launch(
-            kernels.advance,
-            len(mask),
-            *(*numbers, self._refused, mask, *given),
-            threads=self.threads,
-        )
+        return (*numbers, self._refused, mask, *actions, *self.tables.arrays, *self._constants)
 
     def _fill(self, table: DeviceArray, row: NDArray[Any], mask: DeviceArray | None = None) -> None:
         """Set the masked roads of a table, or all, to the row of one road."""
@@ -330,11 +336,11 @@ class GpuRoads:
         self, kernel: Callable[..., None], number: int, *given: Any, threads: int = _THREADS
     ) -> None:
         with cuda.gpus[self._gpu]:
-            key = kernel, number, threads, self._handle
-            launch = self._launches.get(key)
-            if launch is None:
-                launch = self._launches[key] = _configure(*key)
-            launch(*given)
+            configure(kernel, number, threads, self._handle)(*given)
+
+    def _repeat(self, launch: Launch) -> None:
+        with cuda.gpus[self._gpu]:
+            launch(self._handle)
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -352,15 +358,6 @@ class GpuRoads:
         self._allocate(state, kept["parameters"], len(state.roads), actions.shape[-1])
         self.put_state(state)
         self.put(actions, kept["follower_actions"])
-
-
-def _configure(kernel: Any, number: int, threads: int, handle: int) -> Callable[..., None]:
-    stream = cuda.external_stream(handle) if handle else cuda.default_stream()
-    with warnings.catch_warnings():
-        # A few roads leave most of a GPU idle.
-        warnings.simplefilter("ignore")
-        launch: Callable[..., None] = kernel[-(-number // threads), threads, stream]
-    return launch
 
 
 def _empty(shape: tuple[int, ...], dtype: Any) -> DeviceArray:

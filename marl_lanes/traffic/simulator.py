@@ -2,7 +2,6 @@
 
 import logging
 import math
-import secrets
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,18 +17,19 @@ from marl_lanes.traffic.arguments import (
     check_flag,
     check_form,
     check_whole,
+    choose_seed,
     is_on_gpu,
     read_mask,
     read_numbers,
 )
 from marl_lanes.traffic.host import HostRoads
-from marl_lanes.traffic.machine.graphics import find_gpu, read_device
+from marl_lanes.traffic.machine.graphics import find_memory, read_device
 from marl_lanes.traffic.machine.state import Outcome, Records, State, allocate
 from marl_lanes.traffic.machine.threads import count_processors, exclusive
 from marl_lanes.traffic.parameters import array_sizes, make_parameters
 from marl_lanes.traffic.readout import Masks, read_masks
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policy, choose_policies
+from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policies, choose_policies
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.snapshot import read_snapshot, take_snapshot
 
@@ -52,7 +52,6 @@ _NO_LEARNER = -2
 
 _MOST_THREADS = 1024
 _MOST_ROADS = _MOST_FIRST_ROAD = 2**63 - 1
-_LAST_SEED = 2**64 - 1
 
 
 def bytes_of_road(scenario: Scenario) -> int:
@@ -68,16 +67,13 @@ class Simulator:
     The same seed and actions give the same bytes with any ``num_threads``. Road e of a batch is the
     same as road e of a simulator with more or fewer roads.
 
-    With ``device="cuda"`` the roads are in the memory of a GPU and advance there: the same traffic,
-    every whole number equal and the others to rounding. Then ``step``, ``reset`` and ``seed`` do
-    not wait for the GPU. Whatever reads a table (``agents``, ``roads``, ``vehicles``, ``state``,
-    ``actions``, the masks, ``snapshot``) waits for it and fetches a copy that is read-only and does
-    not change later. Policies of followers run on the host: their observations are copied there
-    and their accelerations back in every step. ``step`` takes arrays of the GPU, too (with
-    ``__cuda_array_interface__``, such as torch's tensors). If an acting agent's action there is not
-    finite, the roads stay as they were before that step, and the error comes from the first call
-    that can see it: a later ``step``, or one that reads a table. A process that is forked cannot
-    use the GPU of the first one; a copy (pickle, deepcopy) has its own memory there.
+    With ``device="cuda"`` the roads are in the memory of a GPU and advance there: the same traffic.
+    Then ``step``, ``reset`` and ``seed`` do not wait for it. Whatever reads a table (``agents``,
+    ``state``, ``actions``, the masks, ``snapshot``) waits and fetches a copy, which is read-only.
+    Policies of followers run on the host, with a copy there and back in each step. ``step`` also
+    takes arrays of the GPU (with ``__cuda_array_interface__``). If an acting agent's action there
+    is not finite, the roads stay as before that step, and the error comes from the first call that
+    can see it: a later ``step``, or one that reads a table.
 
     Use it from one thread at a time. A call during another one, also of a follower's policy, raises
     RuntimeError. A process that is forked between calls has its own copy.
@@ -124,7 +120,7 @@ class Simulator:
         first_road = check_whole("first_road", first_road, 0, _MOST_FIRST_ROAD)
         learned_followers = check_flag("learned_followers", learned_followers)
         gpu = read_device(device)
-        seed = _choose_seed(seed)
+        seed = choose_seed(seed)
         self.scenario = load_scenario(scenario, overrides)
         if learned_followers and LEARNED not in self.scenario.followers.mix:
             self.scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
@@ -146,7 +142,6 @@ class Simulator:
         wanted = num_threads or min(count_processors(), num_envs // _ROADS_PER_THREAD)
         self.num_threads = max(1, min(wanted, num_envs))
         self._gpu_roads = None if gpu is None else self._make_gpu_roads(gpu)
-        """The same as ``_roads`` on a GPU."""
         self._roads = self._gpu_roads or self._make_host_roads()
         self.state = cast("State", self._roads.state)
         self.device = "cpu" if gpu is None else f"cuda:{gpu}"
@@ -161,23 +156,14 @@ class Simulator:
         return HostRoads(state, self.parameters, self.num_actions, self.num_threads)
 
     def _make_gpu_roads(self, gpu: int) -> "GpuRoads":
-        cuda = find_gpu(gpu)
-        with cuda.gpus[gpu]:
-            free = cuda.current_context().get_memory_info().free
         needed = self.num_envs * self.bytes_per_environment
-        check_memory("num_envs", self.num_envs, needed, free, f"memory of cuda:{gpu}")
+        check_memory("num_envs", self.num_envs, needed, *find_memory(gpu))
         # Imported here, because a simulation on processors needs no CUDA.
         from marl_lanes.traffic.gpu import GpuRoads
 
         road = allocate(num_envs=1, **array_sizes(self.scenario))
-        return GpuRoads(
-            road,
-            self.parameters,
-            self.num_envs,
-            num_actions=self.num_actions,
-            learner=self.learner,
-            gpu=gpu,
-        )
+        numbers = {"num_actions": self.num_actions, "learner": self.learner, "gpu": gpu}
+        return GpuRoads(road, self.parameters, self.num_envs, **numbers)
 
     @property
     def actions(self) -> NDArray[np.float64]:
@@ -196,11 +182,7 @@ class Simulator:
 
     @property
     def gpu_roads(self) -> "GpuRoads":
-        """The roads on a GPU, for what reads them there.
-
-        Raises:
-            RuntimeError: they are not on one.
-        """
+        """The roads on a GPU, for what reads them there; a RuntimeError if they are not on one."""
         if self._gpu_roads is None:
             raise RuntimeError("gpu_roads: the roads are in this computer's memory: device = cpu")
         return self._gpu_roads
@@ -217,7 +199,7 @@ class Simulator:
         Args:
             seed: as for the constructor.
         """
-        self._roads.seed(_choose_seed(seed), self.first_road)
+        self._roads.seed(choose_seed(seed), self.first_road)
 
     @exclusive
     def reset(self, mask: ArrayLike | None = None) -> None:
@@ -420,24 +402,12 @@ class Simulator:
         return np.where(is_finite, array, 0.0)
 
     def _advance(self) -> None:
-        if self._policies:
-            self._ask_policies()
+        if any(self._policies):
+            followers, seen = self.state.followers, self.state.follower_observations
+            # Filled in once all have answered.
+            answers = ask_policies(self._policies, followers["policy"], seen, self.scenario)
+            self._roads.drive(answers)
         self._roads.step()
-
-    def _ask_policies(self) -> None:
-        """Fill in the actions of the followers that a policy drives, once all have answered."""
-        if not any(self._policies):
-            return
-        answers = []
-        drivers, observations = self.state.followers["policy"], self.state.follower_observations
-        for code, policy in enumerate(self._policies):
-            if policy is None:
-                continue
-            rows = drivers == code
-            if rows.any():
-                name = self.scenario.followers.external_names[code]
-                answers.append((rows, ask_policy(name, policy, observations[rows], self.scenario)))
-        self._roads.drive(answers)
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy has its own lock.
@@ -448,10 +418,3 @@ class Simulator:
         self.__dict__.update(state)
         self.state = cast("State", self._roads.state)
         self._lock = threading.Lock()
-
-
-def _choose_seed(seed: int | None) -> int:
-    """The seed, or one of 63 bits from the system's entropy."""
-    if seed is not None:
-        return check_whole("seed", seed, 0, _LAST_SEED)
-    return secrets.randbits(63)

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gpu_compiler import compile_ptx
 
 from marl_lanes import load_scenario
 from marl_lanes.traffic.machine.state import allocate
 from marl_lanes.traffic.parameters import array_sizes, make_parameters
 from marl_lanes.traffic.readout import changer_columns, follower_columns
+from marl_lanes.traffic.road.neighbors import neighbor_in_lane
 
 CAPABILITIES = [(8, 0), (9, 0)]
 MOST_STACK = 256
@@ -56,17 +58,8 @@ def arguments():
 
 def compile_kernel(name, capability, monkeypatch):
     """Its PTX."""
-    from numba import cuda, typeof
-    from numba.cuda import dispatcher
-
     from marl_lanes.traffic import gpu_kernels
 
-    class Device:
-        compute_capability = capability
-        id = 0
-
-    # The compiler asks the present GPU what it can do.
-    monkeypatch.setattr(dispatcher, "get_current_device", Device)
     kernel = getattr(gpu_kernels, name)
     given = arguments()
     if name in {"advance", "look_for_full_roads", "fill_rows"}:
@@ -76,9 +69,7 @@ def compile_kernel(name, capability, monkeypatch):
     if name == "read_vehicles":
         given["rows"] = np.zeros((2, 3, 7), np.float32)
     names = inspect.signature(kernel.py_func).parameters
-    signature = tuple(typeof(given[one]) for one in names)
-    ptx, _ = cuda.compile_ptx(kernel.py_func, signature, cc=capability)
-    return ptx
+    return compile_ptx(kernel.py_func, [given[one] for one in names], monkeypatch, capability)
 
 
 def check(ptx, capability):
@@ -105,6 +96,26 @@ def test_the_step_compiles(capability, monkeypatch):
 @pytest.mark.parametrize("name", OTHERS)
 def test_they_compile_for_the_newer_one(name, monkeypatch):
     check(compile_kernel(name, CAPABILITIES[1], monkeypatch), CAPABILITIES[1])
+
+
+@pytest.mark.parametrize("stride", [-1, 1])
+def test_the_compiler_keeps_the_loop_over_neighbors(stride, monkeypatch):
+    """From ``count`` down it once ended after its first round."""
+    given = arguments()
+    tables = given["vehicles"][0], given["order"][0], given["agents"][0]
+
+    def find(vehicles, order, agents, count, found):
+        found[0] = neighbor_in_lane(count, 1, stride, order, count, vehicles, agents)
+
+    ptx = compile_ptx(find, (*tables, 1, np.zeros(1, np.int64)), monkeypatch)
+    labels = {}
+    for number, line in enumerate(ptx.splitlines()):
+        if line.startswith("$L"):
+            labels[line.rstrip(":")] = number
+        branch = re.search(r"\bbra(?:\.uni)?\s+(\$L\w+);", line)
+        if branch and labels.get(branch[1], number) < number:
+            return
+    pytest.fail("no branch goes back")
 
 
 def test_every_kernel_is_compiled_here():

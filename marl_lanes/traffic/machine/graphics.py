@@ -41,6 +41,17 @@ def find_gpu(number: int) -> Any:
     return cuda
 
 
+def find_memory(number: int) -> tuple[float, str]:
+    """The memory that a GPU has left [bytes], and its name in messages.
+
+    Raises:
+        MissingExtraError, ValueError: as for ``find_gpu``.
+    """
+    cuda = find_gpu(number)
+    with cuda.gpus[number]:
+        return cuda.current_context().get_memory_info().free, f"memory of cuda:{number}"
+
+
 def load_compiler() -> Any:
     """numba-cuda's module.
 
