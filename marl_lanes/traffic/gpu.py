@@ -21,6 +21,9 @@ from marl_lanes.traffic.step import RESET, SKIP, STEP, WARM_UP
 _THREADS = 128
 """Threads of a block of the kernels that go through an array."""
 
+_GROUPS = 12 * 132
+"""Groups of threads that an H100 has at work: 12, by their registers, on each of its processors."""
+
 _STEPS_PER_CALL = 256
 """Time steps of a launch that takes many. Between two launches Ctrl-C works."""
 
@@ -67,9 +70,6 @@ class GpuRoads:
         gpu: its number.
     """
 
-    threads = 32
-    """Threads of a block of the kernel that advances roads."""
-
     def __init__(
         self,
         road: State,
@@ -109,6 +109,8 @@ class GpuRoads:
         warmup = parameters.constants[0]["warmup_high"] / parameters.constants[0]["time_step"]
         self._warmup_steps = math.ceil(warmup)
         self.state = FetchedState(self)
+        self.threads = _choose_threads(num_roads)
+        """Threads of a block of the kernel that advances roads."""
         self._prepare()
 
     def _prepare(self) -> None:
@@ -358,6 +360,17 @@ class GpuRoads:
         self._allocate(state, kept["parameters"], len(state.roads), actions.shape[-1])
         self.put_state(state)
         self.put(actions, kept["follower_actions"])
+
+
+def _choose_threads(num_roads: int) -> int:
+    """Of a block, at most a group of 32: fewer, if then all blocks are still at work at once.
+
+    A group takes every branch that one of its roads takes.
+    """
+    for threads in (8, 16):
+        if num_roads <= _GROUPS * threads:
+            return threads
+    return 32
 
 
 def _empty(shape: tuple[int, ...], dtype: Any) -> DeviceArray:

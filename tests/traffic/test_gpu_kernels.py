@@ -137,3 +137,9 @@ def test_simulated_it_is_the_cpu():
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "equal\n"
+
+
+def test_few_roads_are_spread_over_all_processors():
+    from marl_lanes.traffic.gpu import _choose_threads
+
+    assert [_choose_threads(number) for number in (1, 8192, 16384, 10**6)] == [8, 8, 16, 32]
