@@ -26,6 +26,7 @@ from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.experiment import start
 from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
+from marl_lanes.recipes import FOLDER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.command_line import compose_fields, refusing
@@ -33,7 +34,6 @@ from marl_lanes.training.config import read_config
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.transitions import CPU
 
-FOLDER = Path(__file__).parents[1] / "agents" / "naf"
 DEFAULTS = (
     "recipe=fast",
     "device=cuda",
