@@ -89,11 +89,13 @@ def train(config: TrainingConfig) -> tuple[Learner, Scenario, list[tuple[PolicyN
 
 def time_update(learner: Learner) -> float:
     """Time of an update, with the drawing of its batch [s]."""
+    trained = learner.counters["updates"]
     learner.update(64)
     wait()
     begin = time.perf_counter()
     learner.update(NUM_UPDATES)
     wait()
+    learner.counters["updates"] = trained
     return (time.perf_counter() - begin) / NUM_UPDATES
 
 
