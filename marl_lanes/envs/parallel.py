@@ -13,6 +13,7 @@ from pettingzoo import ParallelEnv
 
 from marl_lanes.envs.actions import check_actions, read_action
 from marl_lanes.envs.closing import Closes
+from marl_lanes.envs.episodes import check_spaces, count_agents
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.envs.infos import FIELDS, Step, info_names
 from marl_lanes.envs.options import read_options
@@ -126,7 +127,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         self._chosen_view = view
         self._renderer = self._make_renderer()
         self.agents: list[str] = []
-        num_agents = _count_agents(self.scenario)
+        num_agents = count_agents(self.scenario)
         self._names = {
             role.name: [f"{role.name}_{k}" for k in range(num_agents)]
             for role in self.simulator.roles
@@ -150,20 +151,13 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
 
     def _make_simulator(self, scenario: Scenario, seed: int | None) -> Simulator:
         policies = find_policies(scenario, self._policies, has_learner=self._learned_followers)
-        simulator = Simulator(
+        return Simulator(
             scenario,
             seed=seed,
             num_threads=1,
             learned_followers=self._learned_followers,
             follower_policies=policies,
         )
-        _count_agents(simulator.scenario)
-        return simulator
-
-    def _form(self, scenario: Scenario) -> list[object]:
-        """What spaces and names follow from."""
-        roles = [(role.seen(scenario), role.act(scenario)) for role in self.simulator.roles]
-        return [scenario.num_agents, scenario.max_vehicles, scenario.time_step, roles]
 
     def _change_traffic(self, changes: Mapping[str, Any]) -> None:
         """Go on with another simulator, whose random numbers are those of the last one.
@@ -174,11 +168,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         if changes == self._changes:
             return
         changed = load_scenario(self._loaded, changes)
-        if self._form(changed) != self._form(self._loaded):
-            raise ScenarioError(
-                "options['overrides']: num_agents, max_vehicles, time_step, observations and "
-                "actions must be those that the environment was made with"
-            )
+        check_spaces(changed, self._loaded, self.simulator.roles)
         last, self.simulator = self.simulator, self._make_simulator(changed, 0)
         for name in ("random_key", "random_stream", "random_counter"):
             self.simulator.roads[name] = last.roads[name]
@@ -427,17 +417,3 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
             "is_paired": float(self.simulator.is_follower_acting[0, slot]),
             **dict(zip(FOLLOWER.reward_names, record["terms"].tolist(), strict=True)),
         }
-
-
-def _count_agents(scenario: Scenario) -> int:
-    """Changers of an episode.
-
-    Raises:
-        ScenarioError: an episode would have no end, or no agent.
-    """
-    if scenario.num_agents is None or scenario.command.probability == 0.0:
-        raise ScenarioError(
-            f"scenario {scenario.name!r}: an episode needs num_agents (is {scenario.num_agents}) "
-            f"and command.probability > 0 (is {scenario.command.probability})"
-        )
-    return scenario.num_agents
