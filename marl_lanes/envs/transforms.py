@@ -52,7 +52,12 @@ def normalise(env: "LaneChangeEnv") -> TransformedEnv:
     Actions are parts of their bounds, -1 to 1; beyond that they are clipped. As the PettingZoo
     environment with ``normalised``, but for the rows of absent slots, which are not zero.
     """
-    transforms = []
+    return TransformedEnv(env, Compose(*normalising(env)))
+
+
+def normalising(env: "LaneChangeEnv") -> list[Transform]:
+    """The transforms of ``normalise``."""
+    transforms: list[Transform] = []
     for role in env.roles:
         form = {
             key: torch.tensor(value, device=env.device)
@@ -66,4 +71,4 @@ def normalise(env: "LaneChangeEnv") -> TransformedEnv:
             ),
             PartOfBound(role.group, form["action_low"], form["action_high"]),
         ]
-    return TransformedEnv(env, Compose(*transforms))
+    return transforms
