@@ -21,7 +21,7 @@ ALGORITHMS = {
 }
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=list(ALGORITHMS))
-parser.add_argument("--iterations", type=int, default=25, help="of 2048 steps of a road")
+parser.add_argument("--iterations", type=int, default=20, help="of 2048 steps of a road")
 parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
 arguments = parser.parse_args()
 
@@ -62,10 +62,14 @@ def policy_of(experiment):
 
 endless = {**TRAFFIC, "num_agents": None, "horizon": 60.0, "num_slots": NUM_SLOTS}
 for name in arguments.algorithms:
+    algorithm = ALGORITHMS[name].get_from_yaml()
+    if hasattr(algorithm, "scale_mapping"):
+        # A standard deviation of 1 would cover the whole range of actions.
+        algorithm.scale_mapping = "biased_softplus_0.2"
     with tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
             task=LaneChangeTask({"scenario": SCENARIO, "overrides": endless}),
-            algorithm_config=ALGORITHMS[name].get_from_yaml(),
+            algorithm_config=algorithm,
             model_config=MlpConfig(
                 num_cells=[64, 64], layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh
             ),
