@@ -11,8 +11,10 @@ from marl_lanes.envs.forms import parallel_env
 class LaneChangeMultiAgentEnv(MultiAgentEnv):
     """The parallel environment, normalised unless the config says otherwise.
 
-    RLlib's own wrapper for PettingZoo ends an episode when every agent that it has seen is done,
-    although one may be born in that step. Here the episode ends when the environment says so.
+    RLlib ends an episode when every agent that it has seen is done, also where one is born in that
+    step. So that no life is lost, its episode ends there, and the next one goes on with the same
+    road: a reset without a seed or options begins with those that were born. The road's own
+    episode ends as it does elsewhere, and the next reset begins another one.
 
     Args:
         config: RLlib's ``env_config``: arguments of ``parallel_env``. Give no seed there: every
@@ -24,24 +26,36 @@ class LaneChangeMultiAgentEnv(MultiAgentEnv):
         self.env = parallel_env(**{"normalised": True, **(config or {})})
         self.possible_agents = self.env.possible_agents
         self.agents: list[str] = []
+        self._born: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
         self.observation_spaces = {a: self.env.observation_space(a) for a in self.possible_agents}
         self.action_spaces = {a: self.env.action_space(a) for a in self.possible_agents}
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start an episode."""
-        observations, infos = self.env.reset(seed=seed, options=options or None)
+        """Start an episode, or go on with those that were born when the last one ended."""
+        observations, infos = self._born
+        if seed is not None or options or not observations:
+            observations, infos = self.env.reset(seed=seed, options=options or None)
+        self._born = ({}, {})
         self.agents = list(self.env.agents)
         return observations, infos
 
     def step(
         self, action_dict: Mapping[str, Any]
     ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]:
-        """Advance; ``__all__`` is True at the episode's end alone."""
+        """Advance; ``__all__`` is True when all agents that have acted are done."""
         observations, rewards, terminations, truncations, infos = self.env.step(action_dict)
-        self.agents = list(self.env.agents)
-        is_over, is_cut = not self.agents, self.env.is_cut
+        born = set(self.env.agents) - set(self.agents)
+        is_over, is_cut = set(self.env.agents) == born, self.env.is_cut
+        self.agents = [] if is_over else list(self.env.agents)
+        if is_over:
+            self._born = tuple(
+                {agent: part.pop(agent) for agent in born} for part in (observations, infos)
+            )
+            for part in (rewards, terminations, truncations):
+                for agent in born:
+                    del part[agent]
         terminations["__all__"], truncations["__all__"] = is_over and not is_cut, is_cut
         return observations, rewards, terminations, truncations, infos
 
