@@ -11,7 +11,7 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from marl_lanes.integrations.rllib import LaneChangeMultiAgentEnv
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--iterations", type=int, default=20, help="of 2048 steps")
+parser.add_argument("--iterations", type=int, default=8, help="of 2048 steps")
 parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
 arguments = parser.parse_args()
 

@@ -10,7 +10,7 @@ rllib = pytest.importorskip("marl_lanes.integrations.rllib")
 
 
 def test_every_command_of_a_road_is_driven_to_its_end():
-    options = {"scenario": "dense", "overrides": {"num_agents": 5, "horizon": None}, "seed": 3}
+    options = {"scenario": "paper", "overrides": {"num_agents": 5, "horizon": None}, "seed": 3}
     env, plain = rllib.LaneChangeMultiAgentEnv(options), parallel_env(normalised=True, **options)
     seen, _ = plain.reset()
     ended, num_episodes = [], 0
