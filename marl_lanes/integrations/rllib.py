@@ -24,15 +24,15 @@ class LaneChangeMultiAgentEnv(MultiAgentEnv):
     def __init__(self, config: Mapping[str, Any] | None = None) -> None:
         super().__init__()
         self.env = parallel_env(**{"normalised": True, **(config or {})})
-        self.possible_agents = self.env.possible_agents
-        self.agents: list[str] = []
-        self._born: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+        self.possible_agents: list[Any] = self.env.possible_agents
+        self.agents: list[Any] = []
+        self._born: tuple[dict[Any, Any], dict[Any, Any]] = ({}, {})
         self.observation_spaces = {a: self.env.observation_space(a) for a in self.possible_agents}
         self.action_spaces = {a: self.env.action_space(a) for a in self.possible_agents}
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
+    ) -> tuple[dict[Any, Any], dict[Any, Any]]:
         """Start an episode, or go on with those that were born when the last one ended."""
         observations, infos = self._born
         if seed is not None or options or not observations:
@@ -41,17 +41,19 @@ class LaneChangeMultiAgentEnv(MultiAgentEnv):
         self.agents = list(self.env.agents)
         return observations, infos
 
-    def step(
-        self, action_dict: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]:
+    # RLlib's own method differs from that of gymnasium's class, too.
+    def step(  # type: ignore[override]
+        self, action_dict: dict[Any, Any]
+    ) -> tuple[dict[Any, Any], dict[Any, Any], dict[Any, Any], dict[Any, Any], dict[Any, Any]]:
         """Advance; ``__all__`` is True when all agents that have acted are done."""
         observations, rewards, terminations, truncations, infos = self.env.step(action_dict)
         born = set(self.env.agents) - set(self.agents)
         is_over, is_cut = set(self.env.agents) == born, self.env.is_cut
         self.agents = [] if is_over else list(self.env.agents)
         if is_over:
-            self._born = tuple(
-                {agent: part.pop(agent) for agent in born} for part in (observations, infos)
+            self._born = (
+                {agent: observations.pop(agent) for agent in born},
+                {agent: infos.pop(agent) for agent in born},
             )
             for part in (rewards, terminations, truncations):
                 for agent in born:
