@@ -10,14 +10,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from marl_lanes.envs.closing import Closes
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.envs.gpu_exchange import Exchange, check_device
 from marl_lanes.envs.tensordict_internals import make_tensordict
 from marl_lanes.envs.timing import timed
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables
+from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables, state_bounds
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
@@ -39,7 +40,7 @@ _BYTES_OF_SLOT = 32
 """Of an agent's masks, ends, rewards and outcome."""
 
 
-class LaneChangeEnv(EnvBase):
+class LaneChangeEnv(Closes, EnvBase):
     """Lane changes on E roads as a TorchRL environment with batch size [E].
 
     The group ``changers`` has A = ``num_slots`` slots; a command occupies a slot until it ends:
@@ -230,12 +231,13 @@ class LaneChangeEnv(EnvBase):
     def _make_specs(self) -> None:
         num_envs, num_slots = self.simulator.num_envs, self.simulator.num_slots
         group = (num_envs, num_slots)
-        flag = Binary(1, shape=(*group, 1), dtype=torch.bool, device=_CPU)
-        mask = Binary(num_slots, shape=group, dtype=torch.bool, device=_CPU)
+        # Of two categories, as in TorchRL's PettingZooWrapper: a Binary cannot lose a dimension.
+        flag = Categorical(2, shape=(*group, 1), dtype=torch.bool, device=_CPU)
+        mask = Categorical(2, shape=group, dtype=torch.bool, device=_CPU)
         total = Unbounded((*group, 1), dtype=torch.float32, device=_CPU)
         seen: dict[str, dict[str, Any]] = {
             role.group: {
-                "observation": self._bounded(role.observation_bounds(self.scenario)),
+                "observation": _bounded(role.observation_bounds(self.scenario), group),
                 "mask": mask.clone(),
                 "acting": mask.clone(),
                 "command_reward": total.clone(),
@@ -249,20 +251,19 @@ class LaneChangeEnv(EnvBase):
         }
         observed = self._grouped(seen)
         if self.has_state:
-            shape = (num_envs, self.scenario.max_vehicles, len(STATE_COLUMNS))
-            observed["state"] = Unbounded(shape, dtype=torch.float32, device=_CPU)
+            observed["state"] = _bounded(state_bounds(self.scenario, num_slots), (num_envs,))
         # With all its leaves: it is moved to the device here.
         self.observation_spec = observed
         self.action_spec = self._grouped(
             {
-                role.group: {"action": self._bounded(role.action_bounds(self.scenario))}
+                role.group: {"action": _bounded(role.action_bounds(self.scenario), group)}
                 for role in self.roles
             }
         )
         self.reward_spec = self._grouped(
             {role.group: {"reward": total.clone()} for role in self.roles}
         )
-        done = Binary(1, shape=(num_envs, 1), dtype=torch.bool, device=_CPU)
+        done = Categorical(2, shape=(num_envs, 1), dtype=torch.bool, device=_CPU)
         self.done_spec = Composite(
             {
                 **{
@@ -275,12 +276,6 @@ class LaneChangeEnv(EnvBase):
         )
         if self.device is not None:
             self.to(self.device)
-
-    def _bounded(self, bounds: Bounds) -> Bounded:
-        """The spec of (E, A, n) with two vectors (n,) as bounds."""
-        shape = (self.simulator.num_envs, self.simulator.num_slots, len(bounds[0]))
-        low, high = (torch.from_numpy(bound).expand(shape) for bound in bounds)
-        return Bounded(low, high, shape, dtype=torch.float32, device=_CPU)
 
     def _grouped(self, groups: Mapping[str, Mapping[str, Any]]) -> Composite:
         shape = (self.simulator.num_envs, self.simulator.num_slots)
@@ -391,6 +386,13 @@ class LaneChangeEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         with self._streamed():
             self.simulator.seed(seed)
+
+
+def _bounded(bounds: Bounds, batch: tuple[int, ...]) -> Bounded:
+    """The spec of (*batch, *shape) with two arrays of the shape as bounds."""
+    shape = (*batch, *bounds[0].shape)
+    low, high = (torch.tensor(bound).expand(shape) for bound in bounds)
+    return Bounded(low, high, shape, dtype=torch.float32, device=_CPU)
 
 
 def _bytes_of_road(scenario: Scenario, has_followers: bool) -> int:
