@@ -91,10 +91,10 @@ def _title(shown: list[_Shown]) -> str:
     if len(shown) == 1:
         return "A maneuver with the only saved model"
     if "final" in shown[0].roles:
-        return "The same maneuver: the first saved model was chosen; beside it the last"
+        return "One maneuver: the first saved model, chosen, and the last"
     if "final" in shown[-1].roles:
         return "The same maneuver with the first saved and the final model"
-    return "The same maneuver with the first saved, the final and the last model"
+    return "The same maneuver: first saved, final and last model"
 
 
 def _load_shown(run: RunFolder, scenario: Scenario) -> list[_Shown]:

@@ -26,8 +26,8 @@ def test_the_same_maneuver_twice(tmp_path):
 @pytest.mark.parametrize(
     ("chosen", "title", "labels"),
     [
-        (0, "first saved model was chosen", ["first and final: 0", "last: 1,000"]),
-        (500, "first saved, the final and the last", ["first: 0", "final: 500", "last: 1,000"]),
+        (0, "first saved model, chosen, and the last", ["first and final: 0", "last: 1,000"]),
+        (500, "first saved, final and last model", ["first: 0", "final: 500", "last: 1,000"]),
         (1000, "first saved and the final", ["first: 0", "final and last: 1,000"]),
     ],
 )
