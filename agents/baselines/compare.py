@@ -53,8 +53,8 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
 }
 """By algorithm, the program that trains with it and its first arguments."""
 
-NUM_GLANCES = 10
-"""Maneuvers for each of them in the training itself."""
+NUM_GLANCES = 1
+"""Maneuvers for each saved model in the training itself: what counts is measured after it."""
 
 STAGE_ONE = 0.375
 """Share of the transitions in NAF's first stage, as in its recipe fast."""
@@ -321,11 +321,14 @@ def measure_task(task: Task, options: argparse.Namespace) -> dict[str, Any]:
 def measure_run(folder: Path, scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
     """What a training's final model achieves, and when a saved one was good; kept in its folder."""
     path = folder / RESULT_FILE
+    asked = {"maneuvers": options.maneuvers, "saved_maneuvers": options.saved_maneuvers}
     if path.exists():
-        return read(path)
+        kept = read(path)
+        if kept["asked"] == asked:
+            return kept
     checkpoints = folder / CHECKPOINTS_FOLDER
     final = make_policy(str(checkpoints / FINAL_MODEL), scenario, SEED)
-    found = measure(final, scenario, options)
+    found = measure(final, scenario, options) | {"asked": asked}
     config = yaml.safe_load((folder / CONFIG_FILE).read_text(encoding="utf-8"))
     demonstrated = config.get("demonstrations", {"num_transitions": 0})["num_transitions"]
     found["transitions_to_good"] = None

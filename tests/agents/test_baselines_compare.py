@@ -154,11 +154,18 @@ def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatc
     result = program.measure_run(tmp_path, scenario, options)
     assert result == {
         "maneuvers": {},
+        "asked": {"maneuvers": 1000, "saved_maneuvers": 200},
         "transitions_to_good": 250,
         "training_seconds": 3.0,
         "transitions": 300,
     }
     assert len(asked) == 2
+    assert program.measure_run(tmp_path, scenario, options) == result
+    assert len(asked) == 2
+    # Other maneuvers than those that were kept.
+    options.saved_maneuvers = 3
+    program.measure_run(tmp_path, scenario, options)
+    assert len(asked) == 4
     dear = found | {"success_rate": (1.0, 1.0), "return": [-5.0, None]}
     assert [program.is_good(dear | {"return": [-4.5, cost]}) for cost in (None, -4.7, -4.8)] == [
         True,
