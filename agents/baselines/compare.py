@@ -148,7 +148,9 @@ def compare(options: argparse.Namespace) -> list[dict[str, Any]] | None:
         if runs is None:
             return None
         tasks = [Task(name, "", None) for name in options.policies]
-        tasks += [Task(*key, folder) for key, folders in runs.items() for folder in folders]
+        # In the table by algorithm, in whatever order they were trained.
+        keys = sorted(runs, key=lambda key: [*PROGRAMS].index(key[0]))
+        tasks += [Task(*key, folder) for key in keys for folder in runs[key]]
         measured: dict[tuple[str, str], list[dict[str, Any]]] = {}
         for task, found in zip(tasks, measure_all(tasks, options), strict=True):
             measured.setdefault((task.name, task.budget), []).append(found)
