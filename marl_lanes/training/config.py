@@ -173,8 +173,8 @@ class EvaluationConfig(Section):
     )
     record: bool = Field(
         strict=True,
-        description="record the first road of each saved model's evaluation, film the first and "
-        "the last model, and make replays of the final model's failures",
+        description="record the first road of each saved model's evaluation, film the first, "
+        "the final and the last model, and make replays of the final model's failures",
     )
 
     @property
