@@ -1,7 +1,8 @@
 """Changers and followers in a league: each generation learns against all that were before.
 
 python agents/adversary/league.py changer=CHECKPOINT [scenario=NAME] [generations=N]
-    [followers=[NAME,...]] [held_out=[NAME,...]] [seed=N] [output=DIR] [resume=RUN]
+    [followers=[NAME,...]] [held_out=[NAME,...]] [+guests.NAME=CHECKPOINT ...]
+    [seed=N] [output=DIR] [resume=RUN]
     [any field of the config]
 
 In each generation an untrained follower learns against the changers of the pool, then a changer
@@ -47,7 +48,7 @@ from marl_lanes.interplay import (
     changer_phase,
     follower_phase,
 )
-from marl_lanes.naf.checkpoint import greedy_policy
+from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario.fields import Real
 from marl_lanes.scenario.followers import DispositionName
@@ -78,6 +79,10 @@ class LeagueConfig(InterplayConfig):
     held_out: Annotated[list[DispositionName], Field(max_length=32)] = Field(
         description="names of followers that are rated, and never learned against"
     )
+    guests: Annotated[dict[DispositionName, str], Field(max_length=32)] = Field(
+        description="checkpoints of other changers, by name, of any algorithm; they are rated, and "
+        "never learned against"
+    )
     exponent: Real = Field(
         ge=0.0,
         le=100.0,
@@ -96,6 +101,9 @@ class LeagueConfig(InterplayConfig):
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"{name!r} must be once in followers and held_out together")
+        for name in self.guests:
+            if name in names or name.partition("_")[0] in ("changer", "follower"):
+                raise ValueError(f"guests: {name!r} must not be the name of another player")
         return self
 
 
@@ -128,10 +136,14 @@ class League:
 
     def __init__(self, config: LeagueConfig) -> None:
         self.config = config
-        self.grounds = Grounds(config, "adversarial")
+        guests = {_copy(name): Path(path) for name, path in config.guests.items()}
+        self.grounds = Grounds(config, "adversarial", guests)
         self.grounds.check_learner("hardening", config.hardening)
         self.output = self.grounds.output
-        self.changers = {FIRST: self.grounds.load_first_changer(load_checkpoint)}
+        self.changers = {FIRST: self.grounds.load_changer(load=load_checkpoint)}
+        self.guests: dict[str, PolicyNetwork] = {
+            name: self.grounds.load_changer(f"guests.{name}", _copy(name)) for name in config.guests
+        }
         self.followers = list(config.followers)
         for name in (*config.followers, *config.held_out):
             alone = load_scenario(self.grounds.scenario, {"followers": _alone(name)})
@@ -154,7 +166,7 @@ class League:
                 if not play(generation):
                     return None
         everybody = [*self.followers, *self.config.held_out]
-        self.matches.hold(self.changers, everybody, self.policies)
+        self.matches.hold({**self.changers, **self.guests}, everybody, self.policies)
         return self._report()
 
     def _add_follower(self, generation: int) -> bool:
@@ -181,7 +193,7 @@ class League:
         won = [self.matches.shares(newest, follower)[0] for follower in self.followers]
         shares = prioritise(won, self.config.exponent).tolist()
         mix = dict(zip(self.followers, shares, strict=True))
-        path = self.grounds.first_changer if newest == FIRST else self._pooled(newest)
+        path = self.grounds.find_changer() if newest == FIRST else self._pooled(newest)
 
         def begin() -> NAFNetwork:
             network = load_checkpoint(path, self.grounds.scenario).network
@@ -226,7 +238,7 @@ class League:
             {
                 **asdict(rating),
                 "generation": self._generation(rating.player),
-                "is_held_out": rating.player in self.config.held_out,
+                "is_held_out": rating.player in (*self.config.held_out, *self.guests),
             }
             for rating in rate(self.matches.played, seed=seed)
         ]
@@ -238,7 +250,7 @@ class League:
         writer.writeheader()
         writer.writerows(rows)
         write_text(self.output / "ratings.csv", text.getvalue())
-        names = dict.fromkeys(self.changers, self.grounds.scenario.name)
+        names = dict.fromkeys((*self.changers, *self.guests), self.grounds.scenario.name)
         overrides = {name: _alone(name) for name in followers}
         result = compose_result(names, overrides, self.matches.pairs, number, seed)
         write_json(self.output / "crossplay.json", result)
@@ -247,8 +259,8 @@ class League:
         return rows
 
     def _generation(self, player: str) -> int | None:
-        """The generation of a trained player; of the given changer 0; of named followers None."""
-        is_named = player in (*self.config.followers, *self.config.held_out)
+        """The generation of a trained player; of the given changer 0; of all others None."""
+        is_named = player in (*self.config.followers, *self.config.held_out, *self.guests)
         return None if is_named else int(player.rpartition("_")[2])
 
 
@@ -296,7 +308,7 @@ class Matches:
 
     def hold(
         self,
-        changers: Mapping[str, NAFNetwork],
+        changers: Mapping[str, PolicyNetwork],
         followers: Sequence[str],
         policies: Mapping[str, FollowerPolicy],
     ) -> None:
@@ -324,6 +336,11 @@ class Matches:
                 "roads": tally(pair.maneuvers, pair.scenario, num_roads),
             }
             write_json(self._path, list(self._held.values()))
+
+
+def _copy(guest: str) -> str:
+    """File name of the run's copy of a guest's checkpoint."""
+    return f"guest_{guest}.pt"
 
 
 def _alone(name: str) -> dict[str, Any]:
