@@ -95,6 +95,7 @@ BAD = [
     ("replay.rare_share", -0.1),
     ("replay.rare_share", 1.0),
     ("replay.warmup_transitions", -1),
+    ("demonstrations.policy", "quintic"),
     ("demonstrations.num_transitions", -1),
     ("demonstrations.num_updates", 0),
     ("demonstrations.batch_size", 0),
