@@ -133,6 +133,7 @@ class Grounds:
         self,
         field: str = "changer",
         name: str = CHANGER_FILE,
+        scenario: Scenario | None = None,
         load: Callable[[Path, Scenario], Any] = load_policy,
     ) -> Any:
         """The network of a changer that the run was given.
@@ -140,13 +141,14 @@ class Grounds:
         Args:
             field: of the configuration, for messages.
             name: of the run's copy.
+            scenario: that it must fit; None: that of the run.
             load: reads a checkpoint that fits a scenario.
 
         Raises:
             ConfigError: it cannot be read, or does not fit the scenario.
         """
         try:
-            return load(self.find_changer(name), self.scenario).network
+            return load(self.find_changer(name), scenario or self.scenario).network
         except CheckpointError as error:
             given = str(self.files[name])
             raise ConfigError(f"{field} = {given!r}: {error}") from None

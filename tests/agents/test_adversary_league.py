@@ -38,6 +38,7 @@ SMALL = [
     "followers=[adversarial]",
     "held_out=[late-yielder]",
     "+guests.other=actor.pt",
+    "+guests.mpc=mpc",
     "continues=true",
     # Models that have learned so little differ in this alone.
     "hardening.evaluation.criterion=mean_max_follower_braking_all",
@@ -47,7 +48,7 @@ SMALL = [
 ]
 LEARNED = ["follower_1", "changer_1", "follower_2", "changer_2"]
 CHANGERS = ["changer_0", "changer_1", "changer_2"]
-GUEST = "other"
+GUESTS = ["other", "mpc"]
 FOLLOWERS = ["adversarial", "follower_1", "follower_2", "late-yielder"]
 pytestmark = [
     pytest.mark.training,
@@ -108,7 +109,7 @@ def test_the_run_folder_is_complete(league):
 
 def test_every_changer_has_met_every_follower(league):
     run, out = league
-    everybody = {(c, f) for c in (*CHANGERS, GUEST) for f in FOLLOWERS}
+    everybody = {(c, f) for c in (*CHANGERS, *GUESTS) for f in FOLLOWERS}
     assert set(pairs(run / "crossplay.json")) == everybody
     for held in read_json(run / "matches.json"):
         assert sum(map(sum, held["roads"])) == 4
@@ -117,14 +118,14 @@ def test_every_changer_has_met_every_follower(league):
     table = rows(run / "ratings.csv")
     assert [row["player"] for row in table] == [
         *CHANGERS,
-        GUEST,
+        *GUESTS,
         "adversarial",
         "follower_1",
         *FOLLOWERS[2:],
     ]
-    assert [row["generation"] for row in table] == ["0", "1", "2", "", "", "1", "2", ""]
+    assert [row["generation"] for row in table] == ["0", "1", "2", "", "", "", "1", "2", ""]
     held_out = [row["player"] for row in table if row["is_held_out"] == "True"]
-    assert held_out == [GUEST, "late-yielder"]
+    assert held_out == [*GUESTS, "late-yielder"]
     assert sum(float(row["rating"]) for row in table) == pytest.approx(0.0, abs=1e-6)
     assert all(row["player"] in out for row in table)
 
@@ -218,6 +219,8 @@ def test_damaged_matches_are_refused(program, league, tmp_path, monkeypatch):
         (["held_out=[learned]"], "followers.mix: 'learned' has no policy"),
         (["held_out=[adversarial]"], "'adversarial' must be once in followers and held_out"),
         (["followers=[a b]"], "followers.*'a b'"),
+        (["+guests.more=mpc@paper"], "num_agents of its scenario must be 4"),
+        (["+guests.more=mpc@busy.yaml"], "guests.more = 'mpc@busy.yaml': @SCENARIO must be a ship"),
         (["+guests.more=gone.pt"], r"guests\.more = 'gone.pt': .*gone.pt: cannot be read"),
         (["+guests.changer_1=actor.pt"], "'changer_1' must not be the name of another player"),
         (["+guests.late-yielder=actor.pt"], "'late-yielder' must not be the name of another"),
