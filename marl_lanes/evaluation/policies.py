@@ -17,8 +17,8 @@ from marl_lanes.traffic.roles.changer import CHANGER
 _STEERING_FEATURES = ("speed", "lateral_deviation", "yaw", "yaw_rate", "curvature")
 _CAR_FOLLOWING = "car_following_acceleration"
 
-ASSERTIVE_CASCADE = TUNED_CASCADE._replace(lateral_limit=1.0)
-"""With as much lateral acceleration as UN R79 allows: it is over the marking sooner."""
+LATERAL_LIMIT = 1.0
+"""[m/s^2] What UN R79 allows: the body is over the marking sooner than with the tuned constants."""
 
 URGE = 1.0
 """[m/s^2] More than car following, away from who closes the gap behind."""
@@ -68,17 +68,24 @@ def make_tuned_cascade_policy(scenario: Scenario) -> Policy:
     return _make_steering_policy(scenario, "tuned-cascade", _cascade(TUNED_CASCADE))
 
 
-def make_assertive_cascade_policy(scenario: Scenario) -> Policy:
+def make_assertive_cascade_policy(
+    scenario: Scenario, *, lateral_limit: float = LATERAL_LIMIT, urge: float = URGE
+) -> Policy:
     """The classical controller for drivers behind who close the gap: it hurries.
 
     The cascade steers with more lateral acceleration, and a second action, if the scenario has one,
-    is the car-following acceleration, and ``URGE`` more while engaged.
+    is the car-following acceleration, and more while engaged.
+
+    Args:
+        scenario: that it drives on.
+        lateral_limit: largest lateral acceleration on the way to the target lane [m/s^2].
+        urge: beyond car following while engaged [m/s^2].
 
     Raises:
         ScenarioError: a feature that it needs is not observed.
     """
-    steer = _cascade(ASSERTIVE_CASCADE)
-    return _make_steering_policy(scenario, "assertive-cascade", steer, urge=URGE)
+    steer = _cascade(TUNED_CASCADE._replace(lateral_limit=lateral_limit))
+    return _make_steering_policy(scenario, "assertive-cascade", steer, urge=urge)
 
 
 def make_quintic_policy(scenario: Scenario) -> Policy:
