@@ -89,6 +89,8 @@ figures: $(VENV)/installed
 		--span 150 --size 800x500 --out docs/figures/highway.gif
 	$(BIN)/python agents/memory/recognise.py --output build/recognition.json \
 		--figure docs/figures/recognition.svg --figure docs/figures/recognition.png
+	$(BIN)/python agents/adversary/ratings.py docs/league/ratings.json \
+		--figure docs/figures/ratings.svg --figure docs/figures/ratings.png
 	$(BIN)/python benchmarks/convergence.py \
 		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 

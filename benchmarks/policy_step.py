@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from marl_lanes import LaneChangeEnv, load_scenario
 from marl_lanes.files import write_json
 from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.recipes import FOLDER
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
@@ -30,7 +31,6 @@ from marl_lanes.training.learner import Learner
 from marl_lanes.training.timing import OTHER, format_split
 from marl_lanes.training.transitions import LivePolicy
 
-PROGRAM = Path(__file__).parents[1] / "agents" / "naf"
 NUM_ENVS, NUM_ACTING, STEPS_PER_TURN = 256, 512, 20
 SLOTS = (4, 16, 64)
 RECIPES = ("fast", "paper", "interactive")
@@ -111,7 +111,7 @@ def measure_split(recipe: str, transitions: int) -> dict[str, tuple[float, float
         # In stage two from the start: mu learns, too.
         "optimizer.pretraining_transitions=0",
     ]
-    config = read_config(TrainingConfig, compose_fields(TrainingConfig, PROGRAM, options))
+    config = read_config(TrainingConfig, compose_fields(TrainingConfig, FOLDER, options))
     scenario = load_scenario(config.scenario)
     env = LaneChangeEnv(
         scenario, config.collector.num_envs, seed=0, overrides=config.training_overrides

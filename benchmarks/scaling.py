@@ -25,6 +25,7 @@ from tensordict import TensorDictBase
 
 from marl_lanes import LaneChangeEnv
 from marl_lanes.files import write_json
+from marl_lanes.recipes import FOLDER
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.collectors import LocalCollector, MakeCollector, TrafficCollector
@@ -36,7 +37,6 @@ from marl_lanes.training.resume import read_state
 from marl_lanes.training.transitions import live_transitions
 from marl_lanes.training.workers import ProcessCollector, RayTrafficCollector, Workers
 
-FOLDER = Path(__file__).parents[1] / "agents" / "naf"
 CORES = 1000
 """Of the plan."""
 WARM_UP_BATCHES = 40
@@ -252,7 +252,7 @@ def show(title: str, figures: Figures) -> None:
 def main() -> None:
     """Measure, print, write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--recipe", default="fast", help="of agents/naf (default: fast)")
+    parser.add_argument("--recipe", default="fast", help="of `marl-lanes train` (default: fast)")
     parser.add_argument("--rounds", type=int, default=5, help="turns of each (default: 5)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
     parser.add_argument("--ray", action="store_true", help="a Ray cluster of two nodes as well")

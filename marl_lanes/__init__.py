@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from marl_lanes.starting import uncollected
 
 if TYPE_CHECKING:
+    __version__: str
     from marl_lanes.envs.batched import LaneChangeEnv
     from marl_lanes.envs.parallel import env, parallel_env
     from marl_lanes.naf.loss import NAFLoss
@@ -59,6 +60,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("marl-lanes")
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     with uncollected():

@@ -1,13 +1,11 @@
-"""The configuration of agents/naf/train.py from a command line."""
+"""The configuration of a training of NAF from a command line."""
 
 from functools import reduce
-from pathlib import Path
 
+from marl_lanes.recipes import FOLDER
 from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.command_line import compose_fields
 from marl_lanes.training.config import read_config
-
-FOLDER = Path(__file__).parents[1] / "agents" / "naf"
 
 
 def resolve(*overrides):

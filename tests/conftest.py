@@ -76,6 +76,15 @@ def two_nodes():
         yield address
 
 
+@pytest.fixture(autouse=True)
+def _no_modules_of_the_user():
+    """What a test imports for its commands, workers of another test need not find."""
+    yield
+    from marl_lanes import plugins
+
+    plugins.imported.clear()
+
+
 @pytest.fixture
 def policy_file(tmp_path):
     """A checkpoint of a changers' network."""

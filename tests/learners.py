@@ -11,6 +11,7 @@ from programs import replaced
 from tensordict import TensorDict
 
 from marl_lanes import LaneChangeEnv
+from marl_lanes.recipes import FOLDER
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.ddpg import DDPG, DDPGConfig
 from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
@@ -23,8 +24,7 @@ from marl_lanes.training.config import EVALUATED, EvaluationConfig, read_config,
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.transitions import LivePolicy
 
-FOLDER = Path(__file__).parents[1] / "agents" / "naf"
-BASELINES_FOLDER = FOLDER.parent / "baselines"
+BASELINES_FOLDER = Path(__file__).parents[1] / "agents" / "baselines"
 BASELINES = {
     "ippo": (PPOConfig, PPO),
     "mappo": (PPOConfig, partial(PPO, is_centralised=True)),

@@ -3,10 +3,14 @@
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import torch
 from programs import BUSY, replaced
+
+from marl_lanes import experiment
+from marl_lanes.recipes.naf import make_algorithm, read
 
 PROGRAM = Path(__file__).parents[1] / "agents" / "naf" / "train.py"
 TINY = [
@@ -36,6 +40,16 @@ def prepare(folder):
     """The folder, with the scenario in it."""
     (folder / "busy.yaml").write_text(BUSY, encoding="utf-8")
     return folder
+
+
+def read_tiny(*options):
+    """What the program makes of the tiny budget and the options."""
+    return read(replaced([*TINY, "output=run", *options]))
+
+
+def begin(config):
+    """A learner, as the program makes it."""
+    return experiment.start(config, partial(make_algorithm, config), "train")[0]
 
 
 def start(*options, folder, stderr=subprocess.PIPE):

@@ -3,15 +3,19 @@
 import ast
 import dataclasses
 import re
+import shlex
 import subprocess
 import sys
 import typing
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 from pydantic import BaseModel
 
 from marl_lanes import Scenario, load_scenario
+from marl_lanes.cli.arguments import EXAMPLES
+from marl_lanes.cli.main import make_parser
 from marl_lanes.evaluation.benchmark_tables import (
     BEGIN,
     COMFORT,
@@ -21,6 +25,7 @@ from marl_lanes.evaluation.benchmark_tables import (
     read_rows,
 )
 from marl_lanes.evaluation.metrics import summarise
+from marl_lanes.recipes.naf import DESCRIPTION
 from marl_lanes.traffic.roles.changer import FEATURES
 from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
@@ -153,6 +158,23 @@ def test_every_example_runs(page, tmp_path):
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert f"done {len(blocks) - 1}" in done.stdout
+
+
+def test_the_page_of_commands_has_the_examples_of_every_help():
+    parser = make_parser()
+    (commands,) = (one.choices for one in parser._actions if isinstance(one.choices, dict))
+    page = text_of(DOCS / "commands.md")
+    blocks = "".join(re.findall(r"^```sh\n(.*?)^```", page, re.DOTALL | re.MULTILINE))
+    told = [line for line in blocks.replace("\\\n   ", "").splitlines() if line]
+    texts = [one.epilog.removeprefix(EXAMPLES) for one in commands.values() if one.epilog]
+    texts.append(DESCRIPTION.partition("examples:\n")[2].replace("%(prog)s", "marl-lanes train"))
+    examples = "\n".join(map(dedent, texts)).replace("\\\n   ", "").splitlines()
+    assert len(examples) > 40
+    assert set(filter(None, examples)) <= set(told)
+    for line in told:
+        program, *arguments = shlex.split(re.split(r" [|>] | >> ", line)[0])
+        assert program == "marl-lanes"
+        assert parser.parse_args(arguments).run
 
 
 def test_every_metric_is_documented():

@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[1]
 pytestmark = pytest.mark.slow
@@ -33,6 +34,10 @@ assert min(rewards) < 0.0 == max(rewards)
 from marl_lanes.zoo.index import find_file, read_index
 for name in read_index():
     assert find_file(name).is_relative_to(sys.prefix), name
+from marl_lanes.cli.main import main
+from marl_lanes.scenario.json_schema import FILE
+assert FILE.is_relative_to(sys.prefix)
+assert main(["validate", *list_scenarios(), "--json", "valid.json"]) == 0
 print(*list_scenarios())
 print(importlib.metadata.version("marl-lanes"))
 """
@@ -88,6 +93,7 @@ def test_the_wheel_holds_every_file_of_the_package_and_the_scenarios(names):
     }
     assert {"marl_lanes/py.typed", "marl_lanes/report/report.html.jinja"} < inside
     assert {"marl_lanes/zoo/zoo.json", "marl_lanes/zoo/paper.pt"} < inside
+    assert {"marl_lanes/recipes/config.yaml", "marl_lanes/recipes/recipe/fast.yaml"} < inside
     scenarios = {f"marl_lanes/scenarios/{path.name}" for path in ROOT.glob("scenarios/*.yaml")}
     assert len(scenarios) >= 7
     expected = inside | scenarios | {"marl_lanes/scenarios/__init__.py"}
@@ -115,6 +121,10 @@ def test_the_installed_wheel_runs_from_another_folder(wheel, tmp_path):
     (site / "dependencies.pth").write_text("\n".join(sorted(paths)) + "\n")
     # Interpreted, because compiling the kernel again would take half a minute.
     output = run(python, "-c", PROGRAM, cwd=elsewhere, NUMBA_DISABLE_JIT="1")
-    scenarios, version = output.splitlines()
+    *_, scenarios, version = output.splitlines()
     assert scenarios.split() == sorted(path.stem for path in ROOT.glob("scenarios/*.yaml"))
     assert wheel.name.startswith(f"marl_lanes-{version}-")
+    # Up to where it would train: code, fields and recipes are in the wheel.
+    train = (home / "bin" / "marl-lanes", "train", "scenario=interactive", "--cfg", "job")
+    config = yaml.safe_load(run(*train, cwd=elsewhere, PYTHONWARNINGS="default"))
+    assert (config["recipe"], config["network"]["mu"]) == ("interactive", "cascade+idm")

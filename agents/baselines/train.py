@@ -35,7 +35,7 @@ from marl_lanes.training.config import (
 from marl_lanes.training.sizes import check_networks
 
 FOLDER = Path(__file__).parent
-PROGRAM = "agents/baselines/train.py"
+PROGRAM = "python agents/baselines/train.py"
 
 
 class IPPOTrainingConfig(PPOConfig, ChangersConfig):

@@ -1,14 +1,66 @@
 """Arguments that several commands share, and what is done with them first."""
 
 import argparse
+from collections.abc import Callable
+from textwrap import dedent, indent
 from typing import Any, TypeAlias
 
+from marl_lanes.cli.completers import followers, offer, policies, scenarios
 from marl_lanes.cli.policies import TRAINED, UNTRAINED
 from marl_lanes.cli.values import MAX_SEED, file_name, whole_number
 from marl_lanes.scenario.followers import SCRIPTED
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """What a module of commands adds its parsers to."""
+
+Run: TypeAlias = Callable[[argparse.Namespace], int | None]
+"""Runs a command with its arguments; returns the status, None for 0."""
+
+EXAMPLES = "examples:\n"
+"""Begins the end of a command's help."""
+
+
+class HelpFormatter(argparse.HelpFormatter):
+    """Leaves text as it is that has lines of its own, such as examples."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return text if "\n" in text else super()._fill_text(text, width, indent)
+
+
+def add_command(
+    commands: Commands,
+    name: str,
+    run: Run,
+    *,
+    summary: str,
+    description: str,
+    examples: str,
+    **options: Any,
+) -> argparse.ArgumentParser:
+    """Add a command.
+
+    Args:
+        commands: what it is added to.
+        name: of the command.
+        run: what it does.
+        summary: for the list of all commands.
+        description: for its help.
+        examples: command lines for its help, of at most 78 columns.
+        options: of its ``ArgumentParser``.
+
+    Returns:
+        its parser, to which arguments are added.
+    """
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=description,
+        epilog=EXAMPLES + indent(dedent(examples).strip(), "  "),
+        formatter_class=HelpFormatter,
+        **options,
+    )
+    parser.set_defaults(run=run)
+    return parser
 
 
 def add_policy(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
@@ -19,12 +71,13 @@ def add_policy(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
         is_required: whether one must be given.
     """
     policy = parser.add_mutually_exclusive_group(required=is_required)
-    policy.add_argument("checkpoint", nargs="?", help=TRAINED)
+    offer(policy.add_argument("checkpoint", nargs="?", help=TRAINED), policies)
     note = "" if is_required else " (default: tuned-cascade)"
     policy.add_argument(
         "--policy",
         choices=UNTRAINED,
-        help="a policy without learning, instead of a checkpoint" + note,
+        metavar="NAME",
+        help=f"a policy without learning, instead: {', '.join(UNTRAINED)}{note}",
     )
 
 
@@ -36,7 +89,7 @@ def add_followers(parser: argparse.ArgumentParser, **options: Any) -> None:
         options: of argparse: ``required`` or ``default``.
     """
     note = f" (default: {' '.join(options['default'])})" if "default" in options else ""
-    parser.add_argument(
+    argument = parser.add_argument(
         "--followers",
         nargs="+",
         metavar="FOLLOWER",
@@ -44,6 +97,7 @@ def add_followers(parser: argparse.ArgumentParser, **options: Any) -> None:
         "late-yielder, or a name given to register_follower" + note,
         **options,
     )
+    offer(argument, followers)
 
 
 def add_traffic(parser: argparse.ArgumentParser, *, num_maneuvers: int) -> None:
@@ -53,7 +107,7 @@ def add_traffic(parser: argparse.ArgumentParser, *, num_maneuvers: int) -> None:
         parser: the command's parser.
         num_maneuvers: the default of --maneuvers.
     """
-    parser.add_argument("--scenario", default="paper", help="name or YAML file (default: paper)")
+    add_scenario(parser, default="paper")
     parser.add_argument(
         "--maneuvers",
         type=whole_number(1),
@@ -61,6 +115,20 @@ def add_traffic(parser: argparse.ArgumentParser, *, num_maneuvers: int) -> None:
         help=f"number of maneuvers (default: {num_maneuvers})",
     )
     add_seed(parser, default=0)
+
+
+def add_scenario(
+    parser: argparse.ArgumentParser, *, default: str | None, note: str = "paper"
+) -> None:
+    """Add --scenario.
+
+    Args:
+        parser: the command's parser.
+        default: None where it matters whether it is given.
+        note: what the help says of the default.
+    """
+    help_text = f"name or YAML file (default: {note})"
+    offer(parser.add_argument("--scenario", default=default, help=help_text), scenarios)
 
 
 def add_seed(parser: argparse.ArgumentParser, *, default: int | None) -> None:
@@ -78,22 +146,14 @@ def add_seed(parser: argparse.ArgumentParser, *, default: int | None) -> None:
     )
 
 
-def add_import(parser: argparse.ArgumentParser) -> None:
-    """Add --import; ``imports.import_modules`` takes its value, ``modules``."""
-    parser.add_argument(
-        "--import",
-        action="append",
-        default=[],
-        dest="modules",
-        metavar="MODULE",
-        help="first import this module, which calls register_follower; the current folder is also "
-        "searched; may be given more than once",
-    )
-
-
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add --json, a file for the results."""
-    parser.add_argument("--json", type=file_name, help="also write the results to this file")
+    """Add --json, a file for the results; ``outputs.show_result`` writes it."""
+    parser.add_argument(
+        "--json",
+        type=file_name,
+        metavar="FILE",
+        help="also write the result to this file; - prints it as JSON instead",
+    )
 
 
 def add_figure(parser: argparse.ArgumentParser, drawn: str, *, is_required: bool) -> None:

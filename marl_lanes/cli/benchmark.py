@@ -5,13 +5,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from marl_lanes.cli.arguments import Commands, add_import, add_json
-from marl_lanes.cli.imports import import_modules
-from marl_lanes.cli.outputs import check_outputs
+from marl_lanes.cli.arguments import Commands, add_command, add_json
+from marl_lanes.cli.completers import offer, policies
+from marl_lanes.cli.outputs import check_outputs, show_result
 from marl_lanes.cli.policies import TRAINED, UNTRAINED, find_training, make_policy
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.values import MAX_SEED, file_name, whole_number
 from marl_lanes.evaluation.tasks import NUM_MANEUVERS, SEED, TASKS
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.terminal import say
 
@@ -23,21 +24,31 @@ def add(commands: Commands) -> None:
 
 
 def _add_benchmark(commands: Commands) -> None:
-    benchmark = commands.add_parser(
+    benchmark = add_command(
+        commands,
         "benchmark",
-        help="measure a policy on the tasks of the benchmark",
+        _benchmark,
+        summary="measure a policy on the tasks of the benchmark",
         description="Drive a policy on each task of the benchmark that it fits, and print its "
         "numbers with 95 % confidence intervals; docs/benchmark.md has the rules. MODULE:FUNCTION "
         "imports the module, also from the current folder, and so runs its code; the function is "
         "given the scenario, and returns a policy: observations (N, F) to actions (N, D).",
+        examples="""
+            marl-lanes benchmark zoo:paper --json rows.json
+            marl-lanes benchmark tuned-cascade --task paper dense --maneuvers 100
+            marl-lanes benchmark mine:make --label mine
+        """,
     )
-    benchmark.add_argument("policy", metavar="POLICY", help=f"{', '.join(UNTRAINED)}, {TRAINED}")
+    policy = f"{', '.join(UNTRAINED)}, {TRAINED}"
+    offer(benchmark.add_argument("policy", metavar="POLICY", help=policy), policies)
     benchmark.add_argument(
         "--task",
         nargs="+",
         choices=TASKS,
         dest="tasks",
-        help="only these, and the policy must fit them (default: all that it fits)",
+        metavar="TASK",
+        help=f"only these of {', '.join(TASKS)}, and the policy must fit them (default: all that "
+        "it fits)",
     )
     benchmark.add_argument(
         "--maneuvers",
@@ -54,15 +65,20 @@ def _add_benchmark(commands: Commands) -> None:
     benchmark.add_argument("--label", help="the policy's name in the rows (default: POLICY)")
     add_import(benchmark)
     add_json(benchmark)
-    benchmark.set_defaults(run=_benchmark)
 
 
 def _add_table(commands: Commands) -> None:
-    table = commands.add_parser(
+    table = add_command(
+        commands,
         "benchmark-table",
-        help="show what `marl-lanes benchmark --json` wrote, as tables in Markdown",
+        _show_table,
+        summary="show the benchmark's rows of many policies as tables",
         description="Show rows of the benchmark as tables in Markdown, one for each task: what "
         "`marl-lanes benchmark --json FILE` wrote, of any number of policies.",
+        examples="""
+            marl-lanes benchmark-table rows.json others.json
+            marl-lanes benchmark-table docs/benchmark/*.json --page docs/benchmark.md
+        """,
     )
     table.add_argument("rows", nargs="+", type=file_name, metavar="FILE", help="files of rows")
     table.add_argument(
@@ -71,12 +87,11 @@ def _add_table(commands: Commands) -> None:
         help="put the tables into this page, between its two lines for them, as docs/benchmark.md "
         "has; do not print them",
     )
-    table.set_defaults(run=_show_table)
 
 
 def _benchmark(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.benchmark import Row, measure_row
-    from marl_lanes.evaluation.benchmark_tables import format_rows, write_rows
+    from marl_lanes.evaluation.benchmark_tables import dump_rows, format_rows
 
     name: str = options.policy
     check_outputs([("--json", options.json)], [name])
@@ -110,9 +125,7 @@ def _benchmark(options: argparse.Namespace) -> None:
             does_not_fit=reason,
         )
     ordered = [rows[task] for task in TASKS if task in rows]
-    if options.json is not None:
-        write_rows(options.json, ordered)
-    say(format_rows(ordered))
+    show_result(options.json, dump_rows(ordered), format_rows(ordered))
 
 
 def _find_tasks(

@@ -4,22 +4,22 @@ import argparse
 
 from marl_lanes.cli.arguments import (
     Commands,
+    add_command,
     add_figure,
     add_followers,
-    add_import,
     add_json,
     add_policy,
     add_traffic,
 )
-from marl_lanes.cli.imports import import_modules
+from marl_lanes.cli.completers import offer, policies
 from marl_lanes.cli.names import label_changers, label_followers, saved_followers
-from marl_lanes.cli.outputs import check_figures, check_outputs, check_trajectories
+from marl_lanes.cli.outputs import check_figures, check_outputs, check_trajectories, show_result
 from marl_lanes.cli.policies import TRAINED, UNTRAINED, make_policy
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.values import file_name, whole_number
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.scenario import load_scenario
 from marl_lanes.scenario.followers import SCRIPTED
-from marl_lanes.terminal import say
 
 
 def add(commands: Commands) -> None:
@@ -30,13 +30,21 @@ def add(commands: Commands) -> None:
 
 
 def _add_evaluate(commands: Commands) -> None:
-    evaluate = commands.add_parser(
+    evaluate = add_command(
+        commands,
         "evaluate",
-        help="run a policy on seeded traffic and compare it with the optimum",
+        _evaluate,
+        summary="measure a policy on seeded traffic, and the optimum",
         description="Run a policy on seeded traffic, observe every vehicle for 10 s after its "
         "change, and print the metrics that docs/metrics.md defines. The first one is the success "
         "rate: the share of maneuvers that complete and, in these 10 s, do not leave the road, "
         "collide or leave their lane.",
+        examples="""
+            marl-lanes evaluate zoo:paper
+            marl-lanes evaluate --policy tuned-cascade --scenario dense --maneuvers 200
+            marl-lanes evaluate runs/paper/checkpoints/final.pt --json evaluation.json
+            marl-lanes evaluate mine:make --trajectories roads.parquet
+        """,
     )
     add_policy(evaluate, is_required=True)
     add_traffic(evaluate, num_maneuvers=1000)
@@ -48,18 +56,25 @@ def _add_evaluate(commands: Commands) -> None:
         metavar="FILE",
         help="also record all roads to this file (.parquet), for `marl-lanes record` and others",
     )
-    evaluate.set_defaults(run=_evaluate)
 
 
 def _add_crossplay(commands: Commands) -> None:
-    crossplay = commands.add_parser(
+    crossplay = add_command(
+        commands,
         "crossplay",
-        help="run every lane changer against every kind of follower",
+        _crossplay,
+        summary="drive every lane changer against every kind of follower",
         description="Run every lane changer against every kind of follower, each pair on the "
         "same seeded traffic, and print the metrics of each pair with 95 % confidence intervals; "
         "docs/metrics.md defines them.",
+        examples="""
+            marl-lanes crossplay --changers tuned-cascade zoo:paper --followers neutral \\
+                adversarial brake-checker --scenario dense --figure crossplay.png
+            marl-lanes crossplay --changers zoo:interactive@interactive \\
+                --followers learned:zoo:adversary --json -
+        """,
     )
-    crossplay.add_argument(
+    changers = crossplay.add_argument(
         "--changers",
         nargs="+",
         required=True,
@@ -67,21 +82,28 @@ def _add_crossplay(commands: Commands) -> None:
         help=f"{', '.join(UNTRAINED)}, {TRAINED}; CHANGER@SCENARIO runs on that scenario instead "
         "of --scenario, also with the followers replaced",
     )
+    offer(changers, policies)
     add_followers(crossplay, required=True)
     add_traffic(crossplay, num_maneuvers=1000)
     add_import(crossplay)
     add_json(crossplay)
     add_figure(crossplay, "heat maps", is_required=False)
-    crossplay.set_defaults(run=_crossplay)
 
 
 def _add_comparison_of_followers(commands: Commands) -> None:
-    followers = commands.add_parser(
+    followers = add_command(
+        commands,
         "followers",
-        help="draw the gap behind the same maneuver with every kind of follower",
+        _compare_followers,
+        summary="draw the same maneuver with every kind of follower",
         description="Run the same seeded maneuver with every kind of follower, draw the gap "
         "behind the lane changer and the follower's acceleration over time, and print the mean "
         "gap at the entry into the lane.",
+        examples="""
+            marl-lanes followers --scenario dense --figure followers.png
+            marl-lanes followers zoo:paper --followers neutral late-yielder \\
+                --maneuver 4 --figure followers.svg
+        """,
     )
     add_policy(followers, is_required=False)
     add_followers(followers, default=list(SCRIPTED))
@@ -95,7 +117,6 @@ def _add_comparison_of_followers(commands: Commands) -> None:
         "follower near)",
     )
     add_figure(followers, "gap and acceleration", is_required=True)
-    followers.set_defaults(run=_compare_followers)
 
 
 def _evaluate(options: argparse.Namespace) -> None:
@@ -103,7 +124,6 @@ def _evaluate(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.metrics import evaluate
     from marl_lanes.evaluation.recording import record_maneuvers
     from marl_lanes.evaluation.tables import format_summary
-    from marl_lanes.files import write_json
 
     name = options.policy or options.checkpoint
     outputs = [("--json", options.json), ("--trajectories", options.trajectories)]
@@ -125,15 +145,12 @@ def _evaluate(options: argparse.Namespace) -> None:
         )
         summary = evaluate(maneuvers, scenario, progress=lambda count: show(number + count))
     result = {"scenario": scenario.name, "policy": name, "seed": options.seed, **summary}
-    if options.json is not None:
-        write_json(options.json, result)
-    say(format_summary(result))
+    show_result(options.json, result, format_summary(result))
 
 
 def _crossplay(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.crossplay import crossplay
     from marl_lanes.evaluation.tables import format_crossplay
-    from marl_lanes.files import write_json
 
     sources = label_changers(options.changers)
     followers = label_followers(options.followers)
@@ -148,20 +165,17 @@ def _crossplay(options: argparse.Namespace) -> None:
         changers[label] = scenario, make_policy(name, scenario, options.seed)
     with Progress("driving", len(changers) * len(followers) * options.maneuvers) as show:
         result = crossplay(changers, followers, options.maneuvers, seed=options.seed, progress=show)
-    if options.json is not None:
-        policies = {label: name for label, (name, _) in sources.items()}
-        write_json(options.json, {**result, "policies": policies})
     if options.figures:
         from marl_lanes.evaluation.figures import draw_crossplay
 
         draw_crossplay(options.figures, result)
-    say(format_crossplay(result))
+    names = {label: name for label, (name, _) in sources.items()}
+    show_result(options.json, {**result, "policies": names}, format_crossplay(result))
 
 
 def _compare_followers(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.gaps import compare_followers
     from marl_lanes.evaluation.tables import format_gaps
-    from marl_lanes.files import write_json
 
     name = options.policy or options.checkpoint or "tuned-cascade"
     followers = label_followers(options.followers)
@@ -183,7 +197,5 @@ def _compare_followers(options: argparse.Namespace) -> None:
             maneuver=options.maneuver,
             progress=show,
         )
-    if options.json is not None:
-        write_json(options.json, {"policy": name, **result})
     draw_gaps(options.figures, result)
-    say(format_gaps(result))
+    show_result(options.json, {"policy": name, **result}, format_gaps(result))

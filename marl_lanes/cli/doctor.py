@@ -16,10 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 
-from marl_lanes.cli.arguments import Commands, add_json
-from marl_lanes.cli.outputs import check_outputs
-from marl_lanes.files import write_json
-from marl_lanes.terminal import say
+from marl_lanes.cli.arguments import Commands, add_command, add_json
+from marl_lanes.cli.outputs import check_outputs, show_result
 
 PACKAGE = "marl-lanes"
 
@@ -53,27 +51,31 @@ class Finding:
 
 def add(commands: Commands) -> None:
     """Add ``doctor``."""
-    doctor = commands.add_parser(
+    doctor = add_command(
+        commands,
         "doctor",
-        help="check this installation, and say what is wrong",
+        _examine,
+        summary="check this installation, and say what is wrong",
         description="Print versions, processors, memory, the cache of compiled kernels, the GPU "
         "and what pictures need; step a road and compare it with what is known of it. The status "
         "is 0 if all is right and 1 if something is wrong: then it is said what to do.",
+        examples="""
+            marl-lanes doctor
+            marl-lanes doctor --json found.json
+        """,
     )
     add_json(doctor)
-    doctor.set_defaults(run=_examine)
 
 
 def _examine(options: argparse.Namespace) -> int:
     check_outputs([("--json", options.json)], [])
     findings = examine()
     wrong = [one for one in findings if one.advice is not None]
-    if options.json is not None:
-        write_json(options.json, {"is_right": not wrong, "findings": [*map(asdict, findings)]})
     lines = [f"{one.subject:16} {one.found}" for one in findings]
     lines += ["", "all is right" if not wrong else "wrong:"]
     lines += [f"  {one.subject}: {one.found}: {one.advice}" for one in wrong]
-    say("\n".join(lines))
+    result = {"is_right": not wrong, "findings": [*map(asdict, findings)]}
+    show_result(options.json, result, "\n".join(lines))
     return 1 if wrong else 0
 
 

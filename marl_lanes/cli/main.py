@@ -5,24 +5,59 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
+import marl_lanes
 from marl_lanes.cli import (
     benchmark,
     comparisons,
+    completion,
     doctor,
     record,
     replay,
     report,
     scenarios,
+    train,
     watch,
     zoo,
 )
+from marl_lanes.cli.arguments import HelpFormatter
 from marl_lanes.terminal import prepare_streams, say, warn
 
-COMMANDS = (scenarios, zoo, comparisons, benchmark, record, replay, report, watch, doctor)
+COMMANDS = (
+    watch,
+    scenarios,
+    zoo,
+    comparisons,
+    benchmark,
+    record,
+    replay,
+    train,
+    report,
+    doctor,
+    completion,
+)
 """The modules of commands, in the order of the help; each has ``add(commands)``."""
 
 INTERRUPTED = 130
 """The status of programs that Ctrl-C has ended."""
+
+OVERVIEW = """\
+Multi-agent lane changes in interactive highway traffic.
+
+  marl-lanes watch tuned-cascade --open      a policy drives, in your browser
+  marl-lanes evaluate zoo:paper              how well does a policy drive?
+  marl-lanes train output=runs/first         train your own, and report on it
+
+marl-lanes --help lists all commands, marl-lanes COMMAND --help explains one.
+marl-lanes doctor says whether this installation works."""
+"""What the command says that is called alone."""
+
+_STATUSES = """\
+exit status:
+  0    all went well
+  1    doctor or validate has found something wrong
+  2    the input is bad, or a file cannot be read or written: one line says why
+  130  ended by Ctrl-C (0 after a training: it can be resumed)
+"""
 
 _MAX_LINE = 1000
 """[characters] Of the line about an error; of a longer one the middle is left out."""
@@ -36,15 +71,17 @@ def main(arguments: Sequence[str] | None = None, *, program: str = "marl-lanes")
         program: how the command is called, for its help.
 
     Returns:
-        0 on success; 1 if ``doctor`` has found something wrong; 2 if the input is bad, or a file
-        cannot be read or written, which is one line on stderr; 130 after Ctrl-C.
+        0 on success; 1 if ``doctor`` or ``validate`` has found something wrong; 2 if the input is
+        bad, or a file cannot be read or written, which is one line on stderr; 130 after Ctrl-C.
 
     Raises:
-        SystemExit: a help was shown (0).
+        SystemExit: a help or the version was shown (0), or a training has ended with an error.
     """
     prepare_streams()
     try:
-        options = make_parser(program).parse_args(arguments)
+        parser = make_parser(program)
+        completion.answer(parser)
+        options = parser.parse_args(arguments)
         run: Callable[[argparse.Namespace], int | None] = options.run
         return run(options) or 0
     except KeyboardInterrupt:
@@ -64,9 +101,14 @@ def make_parser(program: str = "marl-lanes") -> argparse.ArgumentParser:
         program: how the command is called.
     """
     parser = _Parser(
-        prog=program, description="Multi-agent lane changes in interactive highway traffic."
+        prog=program,
+        description="Multi-agent lane changes in interactive highway traffic.",
+        epilog=_STATUSES,
+        formatter_class=HelpFormatter,
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser.add_argument("--version", action=_ShowVersion, nargs=0, help="print the version and end")
+    parser.set_defaults(run=_introduce)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for module in COMMANDS:
         module.add(commands)
     return parser
@@ -96,6 +138,18 @@ class _Parser(argparse.ArgumentParser):
             say(self.format_help().rstrip("\n"))
         else:
             super().print_help(file)
+
+
+class _ShowVersion(argparse.Action):
+    """Looks the version up when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        say(f"marl-lanes {marl_lanes.__version__}")
+        parser.exit()
+
+
+def _introduce(_: argparse.Namespace) -> None:
+    say(OVERVIEW)
 
 
 def _complain(message: str) -> None:

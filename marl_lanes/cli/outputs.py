@@ -1,15 +1,22 @@
 """Files that a command writes, checked before anything is computed."""
 
+import json
 import os
 from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from marl_lanes.extras import need
+from marl_lanes.files import write_json
 from marl_lanes.scenario.messages import shown
+from marl_lanes.terminal import say
 
 Outputs = Sequence[tuple[str, Path | None]]
 """Each option with the file that it names, or None."""
+
+PRINTED = Path("-")
+"""The value of --json that prints the result."""
 
 
 def check_outputs(outputs: Outputs, inputs: Iterable[str | Path | None]) -> None:
@@ -25,7 +32,7 @@ def check_outputs(outputs: Outputs, inputs: Iterable[str | Path | None]) -> None
     """
     taken = {Path(one).resolve(): "read" for one in inputs if one and _is_file(one)}
     for option, path in outputs:
-        if path is None:
+        if path is None or (option == "--json" and path == PRINTED):
             continue
         place = f"{option} {path}" if len(str(path)) < 1000 else f"{option} {shown(str(path))}"
         try:
@@ -40,6 +47,22 @@ def check_outputs(outputs: Outputs, inputs: Iterable[str | Path | None]) -> None
             if target in taken:
                 raise ValueError(f"{place}: must be another file: it is {taken[target]}, too")
             taken[target] = f"that of {option}"
+
+
+def show_result(path: Path | None, result: Any, text: str) -> None:
+    """Show what a command has found.
+
+    Args:
+        path: the value of --json.
+        result: plain values, for JSON.
+        text: the same for people; with ``--json -`` it is not printed.
+    """
+    if path == PRINTED:
+        say(json.dumps(result, indent=2, allow_nan=False))
+        return
+    if path is not None:
+        write_json(path, result)
+    say(text)
 
 
 def check_figures(figures: Sequence[Path]) -> None:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from marl_lanes.cli.imports import import_policy, names_function
+from marl_lanes.plugins import import_policy, names_function
 from marl_lanes.scenario import Scenario
 from marl_lanes.zoo.index import PREFIX, find_entry
 

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from marl_lanes.cli.arguments import Commands, add_followers, add_import, add_seed
-from marl_lanes.cli.imports import import_modules
+from marl_lanes.cli.arguments import Commands, add_command, add_followers, add_scenario, add_seed
+from marl_lanes.cli.completers import offer, policies
 from marl_lanes.cli.outputs import check_outputs
 from marl_lanes.cli.policies import TRAINED, UNTRAINED
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.tracks import RECORDED, Track, make_tracks, read_inputs
 from marl_lanes.cli.values import file_name, number, whole_number
 from marl_lanes.extras import need
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.rendering.options import SPAN, SPEED, ViewOptions
 from marl_lanes.scenario.messages import shown
 from marl_lanes.terminal import say
@@ -33,42 +34,40 @@ MAX_TIME = 1e9
 _ROUNDING = 1e-6
 """[s]"""
 
-# Broken by hand: the formatter that leaves the examples as they are wraps nothing.
-_DESCRIPTION = """\
-Drive one road for an episode and record it. A film shows the first lane change that is
-completed, from 2 s before its engagement to 3 s after it, unless --maneuver, --follow
-changer_K, or --start and --seconds choose another part. Data files have the whole episode, or
-the part of --maneuver, or of --start and --seconds. Several policies or followers go side by
-side, on one clock; then there is one data file for each, with its label in the name."""
-
-EXAMPLES = """\
-examples:
-  marl-lanes record tuned-cascade --out film.mp4
-  marl-lanes record runs/paper/checkpoints/final.pt --scenario dense --seed 3 --out film.gif
-  marl-lanes record tuned-cascade --scenario dense --followers cooperative neutral adversarial \\
-      --out side_by_side.mp4
-  marl-lanes record tuned-cascade --scenario dense --maneuver 4 --out film.mp4 --out rows.parquet
-  marl-lanes record rows.parquet --at 41.5 --out still.png
-  marl-lanes record runs/paper/trajectories/*.parquet --maneuver 0 --out training.mp4
-"""
-
 
 def add(commands: Commands) -> None:
     """Add ``record``."""
-    record = commands.add_parser(
+    record = add_command(
+        commands,
         "record",
-        help="make films, stills and data of a policy on seeded traffic",
-        description=_DESCRIPTION,
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        _record,
+        summary="make films, stills and data of a policy",
+        description="Drive one road for an episode and record it. A film shows the first lane "
+        "change that is completed, from 2 s before its engagement to 3 s after it, unless "
+        "--maneuver, --follow changer_K, or --start and --seconds choose another part. Data files "
+        "have the whole episode, or the part of --maneuver, or of --start and --seconds. Several "
+        "policies or followers go side by side, on one clock; then there is one data file for "
+        "each, with its label in the name.",
+        examples="""
+            marl-lanes record tuned-cascade --out film.mp4
+            marl-lanes record zoo:paper --scenario dense --seed 3 --out film.gif
+            marl-lanes record tuned-cascade --scenario dense --followers cooperative \\
+                neutral adversarial --out side_by_side.mp4
+            marl-lanes record tuned-cascade --scenario dense --maneuver 4 --out film.mp4 \\
+                --out roads.parquet
+            marl-lanes record roads.parquet --at 41.5 --out still.png
+            marl-lanes record runs/paper/trajectories/*.parquet --maneuver 0 \\
+                --out training.mp4
+        """,
     )
-    record.add_argument(
+    policy = record.add_argument(
         "policies",
         nargs="+",
         metavar="POLICY",
         help=f"{', '.join(UNTRAINED)}, {TRAINED}; POLICY@SCENARIO; or a recorded trajectory "
         f"(*{RECORDED}), which is not simulated again",
     )
+    offer(policy, policies)
     record.add_argument(
         "--out",
         action="append",
@@ -77,7 +76,7 @@ def add(commands: Commands) -> None:
         metavar="FILE",
         help=f"the suffix chooses: {', '.join(SUFFIXES)}; may be given several times",
     )
-    record.add_argument("--scenario", default=None, help="name or YAML file (default: paper)")
+    add_scenario(record, default=None)
     add_seed(record, default=None)
     record.add_argument(
         "--road",
@@ -89,7 +88,6 @@ def add(commands: Commands) -> None:
     add_import(record)
     _add_part(record)
     _add_view(record)
-    record.set_defaults(run=_record)
 
 
 def _add_part(record: argparse.ArgumentParser) -> None:

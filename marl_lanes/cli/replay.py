@@ -2,7 +2,7 @@
 
 import argparse
 
-from marl_lanes.cli.arguments import Commands
+from marl_lanes.cli.arguments import Commands, add_command
 from marl_lanes.cli.outputs import check_outputs
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.values import file_name, whole_number
@@ -11,11 +11,17 @@ from marl_lanes.terminal import say
 
 def add(commands: Commands) -> None:
     """Add ``replay``."""
-    replay = commands.add_parser(
+    replay = add_command(
+        commands,
         "replay",
-        help="make one HTML file that replays a trajectory in the browser",
+        _replay,
+        summary="make an HTML file that replays a trajectory",
         description="Make one HTML file that replays a road of a trajectory in the browser, also "
         "without a network. docs/replay.md says what one sees.",
+        examples="""
+            marl-lanes replay roads.parquet --out replay.html
+            marl-lanes replay roads.parquet --road 2 --no-optimum --out replay.html
+        """,
     )
     replay.add_argument("trajectory", type=file_name, help="a Parquet file")
     replay.add_argument("--out", type=file_name, required=True, help="the HTML file to write")
@@ -27,7 +33,6 @@ def add(commands: Commands) -> None:
         action="store_true",
         help="without the cheapest lane change beside each driven one, which takes a moment",
     )
-    replay.set_defaults(run=_replay)
 
 
 def _replay(options: argparse.Namespace) -> None:

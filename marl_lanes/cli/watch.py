@@ -8,11 +8,12 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from marl_lanes.cli.arguments import Commands, add_import, add_seed
-from marl_lanes.cli.imports import import_modules
+from marl_lanes.cli.arguments import Commands, add_command, add_scenario, add_seed
+from marl_lanes.cli.completers import offer, policies
 from marl_lanes.cli.policies import TRAINED, UNTRAINED, is_policy, make_policy
 from marl_lanes.cli.values import number, whole_number
 from marl_lanes.extras import need
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.scenario import load_scenario
 from marl_lanes.terminal import say, warn
 
@@ -22,23 +23,23 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Add ``watch``."""
-    watch = commands.add_parser(
+    watch = add_command(
+        commands,
         "watch",
-        help="watch a policy, or the newest model of a training, drive in the browser",
+        _watch,
+        summary="watch a policy, or a training's newest model, drive",
         description="Simulate a road and show it in the browsers of this computer, until Ctrl-C. "
         "Of a run folder the newest saved model drives; a newer one takes over at the start of "
         "the next episode.",
-        epilog="examples: marl-lanes watch tuned-cascade --open; marl-lanes watch runs/paper "
-        "--port 8000 --speed 2",
+        examples="""
+            marl-lanes watch tuned-cascade --open
+            marl-lanes watch zoo:interactive --scenario interactive --open
+            marl-lanes watch runs/paper --port 8000 --speed 2
+        """,
     )
-    watch.add_argument(
-        "source",
-        metavar="RUN|POLICY",
-        help=f"a run folder, {', '.join(UNTRAINED)}, {TRAINED}",
-    )
-    watch.add_argument(
-        "--scenario", help="name or YAML file (default: that of the run, else paper)"
-    )
+    source = f"a run folder, {', '.join(UNTRAINED)}, {TRAINED}"
+    offer(watch.add_argument("source", metavar="RUN|POLICY", help=source), policies)
+    add_scenario(watch, default=None, note="that of the run, else paper")
     add_seed(watch, default=0)
     watch.add_argument(
         "--port",
@@ -54,7 +55,6 @@ def add(commands: Commands) -> None:
     )
     watch.add_argument("--open", action="store_true", help="open the page in the browser")
     add_import(watch)
-    watch.set_defaults(run=_watch)
 
 
 def _watch(options: argparse.Namespace) -> None:

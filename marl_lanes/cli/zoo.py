@@ -2,7 +2,10 @@
 
 import argparse
 
-from marl_lanes.cli.arguments import Commands
+from marl_lanes.cli import completers
+from marl_lanes.cli.arguments import Commands, add_command, add_json
+from marl_lanes.cli.completers import offer
+from marl_lanes.cli.outputs import check_outputs, show_result
 from marl_lanes.evaluation.tables import (
     PER_CENT,
     choose_decimals,
@@ -10,32 +13,42 @@ from marl_lanes.evaluation.tables import (
     format_table,
 )
 from marl_lanes.scenario.yaml_files import format_yaml
-from marl_lanes.terminal import say
 from marl_lanes.zoo.index import PREFIX, ZooError, find_entry, read_index
 
 
 def add(commands: Commands) -> None:
     """Add ``zoo``."""
-    zoo = commands.add_parser(
+    zoo = add_command(
+        commands,
         "zoo",
-        help="list the trained policies of the package, or print all that is known of one",
+        _show,
+        summary="list the trained policies that ship, or show one",
         description="List the trained policies that ship with the package, or print all that is "
         f"known of one. {PREFIX}NAME stands for its checkpoint in every command, program and "
         "scenario.",
+        examples="""
+            marl-lanes zoo
+            marl-lanes zoo paper
+            marl-lanes zoo --json -
+        """,
     )
-    zoo.add_argument("name", nargs="?", help=f"of a policy, with or without {PREFIX}")
-    zoo.set_defaults(run=_show)
+    offer(
+        zoo.add_argument("name", nargs="?", help=f"of a policy, with or without {PREFIX}"),
+        completers.zoo,
+    )
+    add_json(zoo)
 
 
 def _show(options: argparse.Namespace) -> None:
+    check_outputs([("--json", options.json)], [])
     if options.name is None:
-        say(_list())
+        show_result(options.json, read_index(), _list())
         return
     try:
         entry = find_entry(options.name)
     except ZooError as error:
         raise ValueError(f"zoo {options.name}: {error}") from None
-    say(format_yaml(dict(entry)).rstrip("\n"))
+    show_result(options.json, entry, format_yaml(dict(entry)).rstrip("\n"))
 
 
 def _list() -> str:

@@ -77,7 +77,7 @@ class LaneChangeEnv(EnvBase):
     - ``steering`` (E, A) bool: the agent steers, engaged or aborting.
     - ``aborting`` (E, A) bool: the agent steers back to its origin lane.
     - ``acting`` (E, A) bool: the action has an effect: ``steering`` if D is 1, ``mask`` if D is 2.
-    - ``reward`` (E, A, 1) float32; ``episode_reward`` (E, A, 1): its sum since the command.
+    - ``reward`` (E, A, 1) float32; ``command_reward`` (E, A, 1): its sum since the command.
     - ``outcome`` (E, A) int64: an ``Outcome``; set in the step that ends a command.
     - ``done``, ``terminated``, ``truncated`` (E, A, 1) bool: True only in the step in which the
       agent ends. Completed, collision and off_road terminate; missed and horizon truncate.
@@ -244,7 +244,7 @@ class LaneChangeEnv(EnvBase):
                 "observation": self._bounded(role.observation_bounds(self.scenario)),
                 "mask": mask.clone(),
                 "acting": mask.clone(),
-                "episode_reward": total.clone(),
+                "command_reward": total.clone(),
             }
             for role in self.roles
         }

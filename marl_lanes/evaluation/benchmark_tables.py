@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from pydantic import TypeAdapter, ValidationError
 
 from marl_lanes.evaluation.benchmark import NUM_AGENTS, Row
 from marl_lanes.evaluation.tables import PER_CENT, choose_decimals, format_estimate, format_table
 from marl_lanes.evaluation.tasks import TASKS
-from marl_lanes.files import open_regular, write_json, write_text
+from marl_lanes.files import open_regular, write_text
 from marl_lanes.scenario.messages import shown_name
 
 Column: TypeAlias = tuple[str, str, float, int]
@@ -44,13 +44,14 @@ class BenchmarkError(ValueError):
     """A file that holds no rows, or a page without a place for the table."""
 
 
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows as JSON."""
-    write_json(path, _ROWS.dump_python(list(rows), mode="json"))
+def dump_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Rows as plain values."""
+    dumped: list[dict[str, Any]] = _ROWS.dump_python(list(rows), mode="json")
+    return dumped
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a file of ``write_rows``.
+    """The rows of a file of ``dump_rows`` as JSON.
 
     Raises:
         BenchmarkError: it cannot be read, or holds something else.

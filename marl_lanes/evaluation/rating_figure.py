@@ -47,7 +47,7 @@ def draw_ratings(paths: Sequence[Path], leagues: Sequence[Mapping[str, Any]]) ->
     learned.xaxis.set_major_locator(MaxNLocator(integer=True))
     learned.legend()
     named.set_title("Others; hollow: never learned against")
-    named.set_xticks(range(len(names)), names, rotation=20.0, ha="right")
+    named.set_xticks(range(len(names)), names, rotation=35.0, ha="right")
     named.set_xlim(-0.5, len(names) - 0.5)
     first = leagues[0]
     figure.suptitle(

@@ -4,9 +4,15 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 _SPEED = re.compile(r"\s*([-+]?\d+(?:\.\d*)?)\s*(km/h|m/s)\s*")
+_SPEED_SCHEMA = {
+    "anyOf": [
+        {"type": "number", "minimum": 0.1, "maximum": 70.0},
+        {"type": "string", "pattern": f"^{_SPEED.pattern}$"},
+    ]
+}
 # Control characters, ends of lines, and halves of characters.
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 _TO_METRES_PER_SECOND = {"km/h": 1.0 / 3.6, "m/s": 1.0}
@@ -52,7 +58,12 @@ NonNegative = Annotated[float, Field(strict=True, ge=0.0)]
 Share = Annotated[float, Field(strict=True, ge=0.0, le=1e6)]
 Count = Annotated[int, Field(strict=True)]
 Weight = Annotated[float, Field(strict=True, ge=0.0, le=1e6)]
-Speed = Annotated[float, Field(strict=True, ge=0.1, le=70.0), BeforeValidator(_parse_speed)]
+Speed = Annotated[
+    float,
+    Field(strict=True, ge=0.1, le=70.0),
+    BeforeValidator(_parse_speed),
+    WithJsonSchema(_SPEED_SCHEMA),
+]
 Interval = Annotated[float, Field(strict=True, ge=0.1, le=1e6)]
 Position = Annotated[float, Field(strict=True, ge=0.0, le=100_000.0)]
 WarmUp = Annotated[float, Field(strict=True, ge=0.0, le=3600.0)]

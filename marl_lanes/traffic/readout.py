@@ -55,7 +55,7 @@ def read_changers(agents: Records, *, has_longitudinal: bool) -> Columns:
 
     Returns:
         ``mask`` (live), ``steering``, ``aborting`` and ``acting``, (E, A) bool; ``outcome``, (E, A)
-        int64, set in the step that ends a command; ``reward`` and ``episode_reward``, (E, A, 1)
+        int64, set in the step that ends a command; ``reward`` and ``command_reward``, (E, A, 1)
         float32; ``done``, ``terminated`` and ``truncated``, (E, A, 1) bool.
     """
     flat = agents.shape
@@ -95,7 +95,7 @@ def read_followers(agents: Records, followers: Records, *, policy: int) -> Colum
 def _common(flat: tuple[int, ...]) -> Columns:
     return {
         "reward": np.empty((*flat, 1), np.float32),
-        "episode_reward": np.empty((*flat, 1), np.float32),
+        "command_reward": np.empty((*flat, 1), np.float32),
         "done": np.empty((*flat, 1), np.bool_),
         "terminated": np.empty((*flat, 1), np.bool_),
         "truncated": np.empty((*flat, 1), np.bool_),
@@ -158,7 +158,7 @@ def _read_changers(
     acting: Any,
     outcome: Any,
     reward: Any,
-    episode_reward: Any,
+    command_reward: Any,
     done: Any,
     terminated: Any,
     truncated: Any,
@@ -172,7 +172,7 @@ def _read_changers(
             acting[env, slot] = is_acting(agent, has_longitudinal)
             outcome[env, slot] = agent.outcome
             reward[env, slot, 0] = agent.reward
-            episode_reward[env, slot, 0] = agent.episode_reward
+            command_reward[env, slot, 0] = agent.episode_reward
             _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])
 
 
@@ -184,7 +184,7 @@ def _read_followers(
     mask: Any,
     acting: Any,
     reward: Any,
-    episode_reward: Any,
+    command_reward: Any,
     done: Any,
     terminated: Any,
     truncated: Any,
@@ -195,5 +195,5 @@ def _read_followers(
             mask[env, slot] = is_live(agent)
             acting[env, slot] = follower.policy == policy
             reward[env, slot, 0] = follower.reward
-            episode_reward[env, slot, 0] = follower.episode_reward
+            command_reward[env, slot, 0] = follower.episode_reward
             _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any, NoReturn, cast
 
 from hydra import compose, initialize_config_dir
@@ -14,6 +16,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel
 
+from marl_lanes.plugins import add_import, import_modules
 from marl_lanes.scenario.yaml_files import format_yaml
 from marl_lanes.training.config import ConfigError, ProgramConfig
 from marl_lanes.training.overrides import check_overrides
@@ -68,10 +71,11 @@ def read_command_line(
     choices: Choices | None = None,
     *,
     file: str = MAIN_FILE,
+    program: str | None = None,
 ) -> Fields:
     """The fields of the command line and the YAML files, not yet checked.
 
-    ``--help`` and ``--cfg job`` print and end the program.
+    ``--help`` and ``--cfg job`` print and end the program. ``--import`` imports the user's modules.
 
     Args:
         kind: the configuration; ``--help`` lists its fields.
@@ -80,21 +84,26 @@ def read_command_line(
         arguments: the command line; None: that of this process.
         choices: as for ``compose_fields``.
         file: as for ``compose_fields``.
+        program: how it is called, for ``--help``; None: as this process.
 
     Raises:
         ConfigError: a key is unknown, or an override cannot be read.
+        ValueError: a module cannot be imported.
     """
     parser = Parser(
+        prog=program,
         description=description,
-        epilog="fields:\n" + "\n".join(_describe(kind)),
+        epilog="fields:\n" + "\n".join(map(_wrap, _describe(kind))),
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        usage="%(prog)s [FIELD=VALUE ...] [--cfg job]",
+        usage="%(prog)s [FIELD=VALUE ...] [--import MODULE] [--cfg job]",
     )
     parser.add_argument(
         "overrides", nargs="*", metavar="FIELD=VALUE", help="overrides in the syntax of hydra"
     )
     parser.add_argument("--cfg", choices=["job"], help="print the configuration and end")
+    add_import(parser)
     options = parser.parse_intermixed_args(arguments)
+    import_modules(options.modules)
     fields = compose_fields(kind, folder, options.overrides, choices, file=file)
     if options.cfg is not None:
         sys.stdout.write(format_yaml(fields))
@@ -103,14 +112,14 @@ def read_command_line(
 
 
 def describe_command(program: str, arguments: Sequence[str] | None = None) -> str:
-    """The command that starts a program of the repository as it was started, for a shell.
+    """The command that starts a program as it was started, for a shell.
 
     Args:
-        program: its path in the repository.
+        program: how it is called: ``python agents/naf/train.py``.
         arguments: the command line; None: that of this process.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    return shlex.join(["python", program, *given])
+    return shlex.join([*program.split(), *given])
 
 
 def compose_fields(
@@ -157,6 +166,12 @@ def _explain(error: Exception) -> str:
     reason = " ".join(str(error).split())
     _, is_of_kind, override = reason.partition("Error merging override ")
     return f"{override}: must be of the kind that --cfg job shows" if is_of_kind else reason
+
+
+def _wrap(line: str) -> str:
+    """A line about a field, within the terminal."""
+    width = get_terminal_size().columns - 2
+    return fill(line, width, subsequent_indent="      ", break_on_hyphens=False)
 
 
 def _describe(kind: type[BaseModel], prefix: str = "") -> Iterator[str]:

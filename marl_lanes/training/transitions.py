@@ -111,7 +111,7 @@ def finished_maneuvers(batch: TensorDictBase, group: str = CHANGER.group) -> tup
     after = batch["next", group]
     ended = after["done"].squeeze(-1)
     outcome = batch["next", CHANGER.group, "outcome"]
-    return after["episode_reward"].squeeze(-1)[ended], outcome[ended]
+    return after["command_reward"].squeeze(-1)[ended], outcome[ended]
 
 
 class LivePolicy(TensorDictModuleBase):

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import connection
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -29,6 +30,7 @@ from torchrl.collectors import MultiCollector
 from torchrl.weight_update import SharedMemWeightSyncScheme
 
 from marl_lanes.envs.batched import LaneChangeEnv
+from marl_lanes.plugins import import_modules, imported
 from marl_lanes.scenario import Scenario
 from marl_lanes.training.collectors import (
     OPTIONS,
@@ -352,7 +354,7 @@ def _worker_envs(env: LaneChangeEnv, num_workers: int) -> list[Callable[[], Work
 
 
 class _MakeEnv:
-    """A picklable function."""
+    """A picklable function. It imports what was imported here: the scenario may need it."""
 
     def __init__(self, env: LaneChangeEnv, worker: int) -> None:
         self.worker = worker
@@ -361,8 +363,10 @@ class _MakeEnv:
         self.seed = int(env.simulator.roads["random_key"][0])
         self.learned_followers = env.simulator.learned_followers
         self.has_state = env.has_state
+        self.modules, self.folder = list(imported), Path.cwd()
 
     def __call__(self) -> WorkerEnv:
+        import_modules(self.modules, self.folder)
         return WorkerEnv(
             self.worker,
             self.scenario,

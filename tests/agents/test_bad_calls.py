@@ -14,6 +14,8 @@ import pytest
 from programs import BUSY, load_program
 from pydantic import BaseModel
 
+from marl_lanes.training.algorithms.naf import TrainingConfig
+
 AGENTS = Path(__file__).parents[2] / "agents"
 
 
@@ -65,7 +67,9 @@ def config_of(name):
     module = load(name)
     if name == "td3":
         return module.BASELINES["td3"].config
-    kinds = {"naf": "TrainingConfig", "adversary": "AdversaryConfig", "league": "LeagueConfig"}
+    if name == "naf":
+        return TrainingConfig
+    kinds = {"adversary": "AdversaryConfig", "league": "LeagueConfig"}
     return getattr(module, kinds[name])
 
 

@@ -8,6 +8,7 @@ import pytest
 from programs import load_program
 
 from marl_lanes import load_scenario
+from marl_lanes.recipes.naf import read, start_network
 
 AGENTS = Path(__file__).parents[2] / "agents"
 PROGRAM = AGENTS / "memory" / "compare.py"
@@ -33,15 +34,14 @@ def finish(run, folder, rows="0,0,completed,1,1.0,9.0,0,-6.0,-4.0,1.5\n"):
 
 
 def test_every_training_is_one_that_the_program_of_naf_accepts(program, tmp_path):
-    train = load_program(AGENTS / "naf" / "train.py")
     program.write_scenarios("hidden", tmp_path)
     sizes = {}
     for view in program.VIEWS:
         run = program.make_run(view, 3, 100_000, tmp_path)
-        config = train.read([*run.arguments, f"output={tmp_path / run.name}"])
+        config = read([*run.arguments, f"output={tmp_path / run.name}"])
         assert (run.program, config.seed) == ("agents/naf/train.py", 3)
         assert config.optimizer.pretraining_transitions == 37_500
-        network = train.start_network(config, load_scenario(config.scenario))
+        network = start_network(config, load_scenario(config.scenario))
         assert load_scenario(config.scenario).name == "hidden"
         sizes[view] = len(network.features), len(network.encoder.outputs)
     assert sizes == {"plain": (15, 15), "stacked": (120, 120), "gru": (120, 47), "grid": (135, 31)}

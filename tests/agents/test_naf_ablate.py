@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from programs import BUSY, load_program, run_main
 
+from marl_lanes.recipes.naf import read
 from marl_lanes.training.failures import TrainingError
 
 FOLDER = Path(__file__).parents[2] / "agents" / "naf"
@@ -73,11 +74,10 @@ def test_what_is_trained(program, tmp_path, monkeypatch):
 
 
 def test_the_command_lines_are_those_of_the_training_program(program):
-    train = load_program(FOLDER / "train.py")
     options = program.parse([])
     for name in program.VARIANTS:
         arguments = program.plan(name, 0, options).arguments
-        assert f"recipe={train.read([*arguments]).recipe}" in arguments, name
+        assert f"recipe={read([*arguments]).recipe}" in arguments, name
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import re
 import shlex
 import shutil
 import signal
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -21,26 +20,25 @@ from naf_program import (
     TINY,
     UNRECORDED,
     assert_same_weights,
+    begin,
     prepare,
+    read_tiny,
     run_program,
     weights,
 )
 from omegaconf import OmegaConf
-from programs import BUSY, load_program, replaced, run_main
+from programs import BUSY, load_program, run_main
 
-from marl_lanes import ScenarioError, experiment, load_scenario
+from marl_lanes import load_scenario
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.evaluation.recording import record_road
 from marl_lanes.evaluation.rollout import run_maneuvers
-from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint, read_content
+from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
+from marl_lanes.recipes.naf import read
 from marl_lanes.report.replays import RECORDING
-from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
-    make_network,
-    save_checkpoint,
 )
-from marl_lanes.training.config import write_config
 from marl_lanes.training.resume import read_state
 from marl_lanes.trajectory.events import find_commands
 from marl_lanes.trajectory.file import read_trajectory
@@ -370,43 +368,6 @@ def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch, 
     assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
-def begin(program, config):
-    """A learner, as the program makes it."""
-    return experiment.start(config, partial(program.make_algorithm, config), "train")[0]
-
-
-def read(program, *options):
-    """What the program makes of the tiny budget and the options."""
-    return program.read(replaced([*TINY, "output=run", *options]))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["scenario=nope"], "scenario 'nope': no such scenario"),
-        (["seed=-1"], "seed = -1: must be greater than or equal to 0"),
-        (["+training_overrides.road.lanes=3"], "road.lanes: unknown key"),
-        (["network.mu=foo"], "foo"),
-    ],
-)
-def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
-    monkeypatch.chdir(prepare(tmp_path))
-    with pytest.raises(ValueError, match="(?i)" + message.replace("(", r"\(")) as caught:
-        begin(program, read(program, *options))
-    assert len(str(caught.value).splitlines()) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
-
-
-def test_a_resumed_run_may_have_another_cluster(program, tmp_path, monkeypatch):
-    monkeypatch.chdir(prepare(tmp_path))
-    config = read(program, "collector=ray", "num_workers=2", "ray.address=10.0.0.1:1")
-    assert config.ray.address == "10.0.0.1:1"
-    write_config(tmp_path / "run" / "config.yaml", config)
-    again = program.read(["resume=run", "ray.address=10.0.0.2:2"])
-    assert (again.ray.address, again.num_workers) == ("10.0.0.2:2", 2)
-    assert program.read(["resume=run"]).ray.address == "10.0.0.1:1"
-
-
 def foreign_state(path):
     content = torch.load(path, weights_only=True)
     content["loss"] = {name: value for name, value in content["loss"].items() if "mu" not in name}
@@ -433,14 +394,14 @@ def foreign_state(path):
     ],
 )
 def test_a_run_that_is_broken_is_refused_in_a_line(
-    program, whole, tmp_path, monkeypatch, name, change, message
+    whole, tmp_path, monkeypatch, name, change, message
 ):
     run, _ = whole
     monkeypatch.chdir(tmp_path)
     shutil.copytree(run, "run", ignore=shutil.ignore_patterns("figures", "tensorboard"))
     change(tmp_path / "run" / name)
     with pytest.raises((ValueError, OSError), match=message) as caught:
-        begin(program, program.read(["resume=run"]))
+        begin(read(["resume=run"]))
     assert len(str(caught.value).splitlines()) == 1
     # A file that is still open, the lock among them, would be told here.
     del caught
@@ -452,12 +413,12 @@ def replace(path, old, new):
 
 
 @collector_warnings
-def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path, monkeypatch):
+def test_a_training_starts_from_the_initial_checkpoint(whole, tmp_path, monkeypatch):
     run, _ = whole
     monkeypatch.chdir(prepare(tmp_path))
     initial = run / "checkpoints" / "final.pt"
-    config = read(program, f"initial_checkpoint={initial}")
-    learner = begin(program, config)
+    config = read_tiny(f"initial_checkpoint={initial}")
+    learner = begin(config)
     assert learner.transitions == 0
     assert_same_weights(weights(run), learner.algorithm.network.state_dict())
     # The target network starts there as well.
@@ -470,85 +431,9 @@ def test_a_training_starts_from_the_initial_checkpoint(program, whole, tmp_path,
     learner.close()
     # What is resumed has weights of its own, and does not need the file again.
     config = config.model_copy(update={"initial_checkpoint": "gone.pt", "resume": "run"})
-    learner = begin(program, config)
+    learner = begin(config)
     assert_same_weights(weights(run), learner.algorithm.network.state_dict())
     learner.close()
-
-
-def test_a_policy_of_the_zoo_is_an_initial_checkpoint(program, small_zoo, tmp_path, monkeypatch):
-    monkeypatch.chdir(prepare(tmp_path))
-    options = ["initial_checkpoint=zoo:paper", "network.mu=paper", "network.hidden_sizes=[8,4]"]
-    network = program.start_network(read(program, *options), PAPER)
-    assert_same_weights(read_content(small_zoo / "paper.pt")["weights"], network.state_dict())
-
-
-@collector_warnings
-def test_a_training_starts_from_demonstrations(program, tmp_path, monkeypatch):
-    """mu has learned from the controller, and goes on from the run's own weights when resumed."""
-    monkeypatch.chdir(prepare(tmp_path))
-    few = ("demonstrations.num_transitions=60", "demonstrations.num_updates=200")
-    config = read(program, *few, "network.mu=mlp", "network.knows_action_cost=false")
-    learner = begin(program, config)
-    assert learner.transitions == 0
-    fitted = {name: value.clone() for name, value in learner.algorithm.network.state_dict().items()}
-    greedy = greedy_policy(learner.algorithm.network)
-    start = np.asarray([[20.0, 0.0, 3.75, 0.0, 0.0, 0.0]], np.float32)
-    assert greedy(start)[0, 0] > 0.05
-    learner.close()
-    resumed = config.model_copy(update={"resume": "run", "seed": 1})
-    learner = begin(program, resumed)
-    assert_same_weights(fitted, learner.algorithm.network.state_dict())
-    learner.close()
-
-
-@pytest.mark.parametrize(
-    ("network", "message"),
-    [
-        (None, r"i\.pt: cannot be read"),
-        (
-            make_network(PAPER, "mlp", [8], role=FOLLOWER),
-            r"i\.pt: its features .* changers of .* 'busy'",
-        ),
-        (make_network(PAPER, "damped", [8]), r"network\.mu = 'cascade': must be 'damped'.*i\.pt"),
-        (make_network(PAPER, "cascade", [9]), r"network\.hidden_sizes = \[8\]: must be \[9\]"),
-        (
-            make_network(PAPER, "cascade", [8], off_diagonal=False),
-            r"network\.off_diagonal = True: must be False",
-        ),
-    ],
-    ids=["none", "follower", "mu", "widths", "off_diagonal"],
-)
-def test_an_initial_checkpoint_that_does_not_fit(program, tmp_path, monkeypatch, network, message):
-    monkeypatch.chdir(prepare(tmp_path))
-    if network is not None:
-        save_checkpoint(tmp_path / "i.pt", network, "paper", 3)
-    before = set(tmp_path.iterdir())
-    with pytest.raises(ValueError, match=message):
-        begin(program, read(program, "initial_checkpoint=i.pt"))
-    assert set(tmp_path.iterdir()) == before
-
-
-def test_a_scenario_with_two_actions_has_its_recipe(program, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("two.yaml").write_text("action: {longitudinal: {}}\n", encoding="utf-8")
-    Path("one.yaml").write_text("num_slots: 8\n", encoding="utf-8")
-    for named in (
-        ["scenario=interactive"],
-        ["seed=1", "scenario='two.yaml'"],
-        ["scenario=two.yaml"],
-    ):
-        assert program.read(named).recipe == "interactive"
-    for named in (
-        [],
-        ["seed=1"],
-        ["scenario=lateral_only"],
-        ["scenario=one.yaml"],
-        ["recipe=fast", "scenario=interactive"],
-    ):
-        assert program.read(named).recipe == "fast"
-    for named, scenario in (("scenario=absent", "absent"), ("scenario=3", "3")):
-        with pytest.raises(ScenarioError, match=f"scenario '{scenario}.*': no such scenario"):
-            program.read([named])
 
 
 def test_the_command_line_explains_itself(program, tmp_path, monkeypatch, capsys):

@@ -181,9 +181,30 @@ MANY = 10**12
 
 CALLS = {
     "scenarios": [
-        *each(["scenarios"], NO_SCENARIOS, "scenario"),
+        *outputs(["scenarios"], "--json"),
         *odd(["scenarios"]),
-        *fixed(("scenarios paper paper", "unrecognized arguments: paper")),
+        *fixed(("scenarios paper", "unrecognized arguments: paper")),
+    ],
+    "show": [
+        *each(["show"], NO_SCENARIOS, "scenario"),
+        *outputs(["show", "paper"], "--json"),
+        *replacing(["show", "quick.yaml"], "--json", "./quick.yaml"),
+        *odd(["show", "paper"]),
+        *fixed(("show", "SCENARIO"), ("show paper paper", "unrecognized arguments: paper")),
+    ],
+    "validate": [
+        *each(["validate", "paper"], NO_MODULES, "--import", option="--import"),
+        *outputs(["validate", "paper"], "--json"),
+        *replacing(["validate", "paper", "quick.yaml"], "--json", "./quick.yaml"),
+        # Any number of scenarios is read; what is wrong with them is no bad call.
+        *(one for one in odd(["validate", "paper"]) if one[0][2].startswith("-")),
+        *fixed(("validate", "SCENARIO")),
+    ],
+    "schema": [*odd(["schema"]), *fixed(("schema paper", "unrecognized arguments: paper"))],
+    "completion": [
+        *each(["completion"], ["", "tcsh", "BASH", "powershell", "\udcff"], "SHELL"),
+        *odd(["completion", "bash"]),
+        *fixed(("completion", "SHELL")),
     ],
     "evaluate": [
         *whole_numbers(EVALUATE, "--maneuvers", "--seed"),
@@ -206,6 +227,7 @@ CALLS = {
     ],
     "zoo": [
         *each(["zoo"], [*NO_SCENARIOS, "zoo:", "zoo:absent", "zoo:zoo.json"], "no such policy"),
+        *outputs(["zoo"], "--json"),
         *odd(["zoo"]),
         *fixed(("zoo paper paper", "unrecognized arguments: paper")),
     ],

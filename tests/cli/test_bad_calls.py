@@ -49,7 +49,7 @@ def test_a_bad_call_is_one_line_and_nothing_is_driven_or_written(
         assert listing(folder) == before, call
 
 
-@pytest.mark.parametrize("arguments", [[], ["train"], [""], ["--seed", "1"], ["x" * 5000]])
+@pytest.mark.parametrize("arguments", [["trian"], [""], ["--seed", "1"], ["x" * 5000]])
 def test_a_command_must_be_named(capsys, arguments):
     assert main(arguments) == 2
     captured = capsys.readouterr()

@@ -2,8 +2,11 @@
 
 import io
 import os
+import re
+import shlex
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -11,8 +14,10 @@ from checkpoints import save_trained
 from cli.commands import QUICK
 from report.runs import make_run
 
+import marl_lanes
 from marl_lanes.cli import scenarios
-from marl_lanes.cli.main import main
+from marl_lanes.cli.arguments import EXAMPLES
+from marl_lanes.cli.main import main, make_parser
 from marl_lanes.extras import MissingExtraError
 
 
@@ -26,7 +31,17 @@ def test_help_ends_with_0(capsys, command):
     assert "--import MODULE" in shown
 
 
-@pytest.mark.parametrize("arguments", [["scenarios"], ["--help"], ["evaluate", "--policy", "x"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["scenarios"],
+        ["--help"],
+        ["evaluate", "--policy", "x"],
+        ["validate", "paper"],
+        ["schema"],
+    ],
+)
 def test_commands_that_do_not_drive_import_nothing_heavy(arguments):
     text = (
         "import sys\n"
@@ -40,6 +55,57 @@ def test_commands_that_do_not_drive_import_nothing_heavy(arguments):
     command = [sys.executable, "-W", "error", "-c", text]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout.splitlines()[-1] == "heavy:"
+
+
+def parsers():
+    """Of each command."""
+    return next(one for one in make_parser()._actions if isinstance(one.choices, dict)).choices
+
+
+def shown_by(capsys, *arguments):
+    """What a command prints that ends the process."""
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_alone_it_names_three_commands_that_there_are(capsys):
+    assert main([]) == 0
+    out = capsys.readouterr().out
+    named = re.findall(r"^  marl-lanes (.*?)  ", out, re.MULTILINE)
+    assert len(named) == 3
+    for line in named:
+        make_parser().parse_args(line.split())
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert marl_lanes.__version__ == version("marl-lanes")
+    assert shown_by(capsys, "--version") == f"marl-lanes {version('marl-lanes')}\n"
+
+
+def test_the_help_lists_every_command_in_one_line_and_the_statuses(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    out = shown_by(capsys, "--help")
+    rows = {row.split()[0] for row in out.splitlines() if re.match(r"    [a-z-]+ +[a-z]", row)}
+    assert rows >= set(parsers()) - {"benchmark-table"}
+    assert max(map(len, out.splitlines())) <= 80
+    assert re.findall(r"^  (\d+) ", out, re.MULTILINE) == ["0", "1", "2", "130"]
+
+
+@pytest.mark.parametrize("name", set(parsers()) - {"train"})
+def test_every_help_fits_in_80_columns_and_has_examples_that_the_parser_takes(
+    capsys, monkeypatch, name
+):
+    monkeypatch.setenv("COLUMNS", "80")
+    out = shown_by(capsys, name, "--help")
+    assert max(map(len, out.splitlines())) <= 80
+    examples = out.partition(EXAMPLES)[2].replace("\\\n", " ").splitlines()
+    assert examples
+    for example in examples:
+        program, command, *arguments = shlex.split(example.partition(">")[0])
+        assert (program, command) == ("marl-lanes", name)
+        make_parser().parse_args([command, *arguments])
 
 
 def raise_error(error):
@@ -62,7 +128,7 @@ def raise_error(error):
 )
 def test_an_error_is_one_line(capsys, monkeypatch, error, status, line):
     monkeypatch.setattr(scenarios, "load_scenario", raise_error(error))
-    assert main(["scenarios", "paper"]) == status
+    assert main(["show", "paper"]) == status
     captured = capsys.readouterr()
     assert (captured.out, captured.err) == ("", f"{line}\n")
 
@@ -70,7 +136,7 @@ def test_an_error_is_one_line(capsys, monkeypatch, error, status, line):
 def test_a_bug_is_no_bad_input(monkeypatch):
     monkeypatch.setattr(scenarios, "load_scenario", raise_error(TypeError("a bug")))
     with pytest.raises(TypeError, match="a bug"):
-        main(["scenarios", "paper"])
+        main(["show", "paper"])
 
 
 def ascii_stream(_):
@@ -102,7 +168,7 @@ def named(tmp_path_factory):
 
 COMMANDS = [
     ("scenarios", ""),
-    ("scenarios schnell_é.yaml", ""),
+    ("show schnell_é.yaml --json è.json", "è.json"),
     ("evaluate räum.pt --maneuvers 2 --json ü.json", "ü.json"),
     ("evaluate \udcff.pt --maneuvers 2 --json \udcfe.json", "\udcfe.json"),
     (

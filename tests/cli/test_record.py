@@ -251,17 +251,3 @@ def test_a_missing_package_is_said_before_anything_is_driven(
     monkeypatch.setitem(sys.modules, package, None)
     message = f"{package}: is not installed: pip install 'marl-lanes[view]'"
     assert_refused(capsys, folder, [*RECORD, "--out", out], message)
-
-
-def test_the_help_has_examples_that_the_parser_takes(capsys):
-    from marl_lanes.cli.main import make_parser
-    from marl_lanes.cli.record import EXAMPLES
-
-    with pytest.raises(SystemExit):
-        main(["record", "--help"])
-    assert EXAMPLES in capsys.readouterr().out
-    joined = EXAMPLES.replace("\\\n", " ")
-    commands = [line.split() for line in joined.splitlines() if "marl-lanes record" in line]
-    assert len(commands) >= 5
-    for command in commands:
-        assert make_parser().parse_args(command[1:]).out

@@ -10,6 +10,7 @@ import torch
 from forking import exit_code_of_child
 from tensordict import TensorDict, assert_close
 from tensordict.nn import TensorDictModule
+from torchrl.envs import RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from marl_lanes import LaneChangeEnv, ScenarioError, parallel_env
@@ -124,11 +125,11 @@ def test_a_partial_reset_leaves_the_other_roads_alone():
     after = env.reset(asked)
     assert [road_bytes(env, road) == before[road] for road in range(3)] == [True, False, True]
     kept = torch.tensor([0, 2])
-    for key in ("observation", "mask", "steering", "episode_reward", "outcome"):
+    for key in ("observation", "mask", "steering", "command_reward", "outcome"):
         assert torch.equal(after["changers", key][kept], last["changers", key][kept])
     assert env.simulator.roads["step"].tolist() == [60, 0, 60]
     assert not after["changers", "outcome"][1].any()
-    assert not after["changers", "episode_reward"][1].any()
+    assert not after["changers", "command_reward"][1].any()
     # The other roads continue like those of an equal environment without the reset.
     ahead = env.rollout(100, steer, auto_reset=False, tensordict=after, break_when_any_done=False)
     there = twin.rollout(
@@ -199,14 +200,24 @@ def test_only_steering_agents_are_rewarded(busy):
     assert (reward[engaged] < 0.0).float().mean() > 0.99
 
 
-def test_the_episode_reward_starts_again_with_each_command(busy):
-    mask, before = busy["changers", "mask"], busy["changers", "episode_reward"]
-    after, reward = busy["next", "changers", "episode_reward"], busy["next", "changers", "reward"]
+def test_the_command_reward_starts_again_with_each_command(busy):
+    mask, before = busy["changers", "mask"], busy["changers", "command_reward"]
+    after, reward = busy["next", "changers", "command_reward"], busy["next", "changers", "reward"]
     is_newborn = busy["next", "changers", "mask"] & ~mask
     assert not after[is_newborn].any()
     assert is_newborn.sum() > 10
     torch.testing.assert_close(after[mask], (before + reward)[mask], rtol=1e-5, atol=1e-5)
     assert (before[mask] < -1.0).any()
+
+
+def test_torchrls_reward_sum_stands_beside_the_command_reward():
+    plain, summing = (LaneChangeEnv("dense", 1, seed=0, overrides=SHORT) for _ in range(2))
+    steps = roll(TransformedEnv(summing, RewardSum(in_keys=summing.reward_keys)), 100)
+    assert_equal(
+        steps["next", "changers"].exclude("episode_reward"), roll(plain, 100)["next", "changers"]
+    )
+    changers = steps["next", "changers"]
+    torch.testing.assert_close(changers["episode_reward"], changers["reward"].cumsum(1))
 
 
 def test_outcomes_end_the_agents_as_they_should(busy):

@@ -91,11 +91,11 @@ def play_batch(case):
             # The one that ends was live, and is so no more.
             assert not (done & ~last["mask"]).any()
             assert not (done & group["mask"]).any()
-            before = totals.get(role.group, torch.zeros_like(group["episode_reward"]))
+            before = totals.get(role.group, torch.zeros_like(group["command_reward"]))
             goes_on = last["mask"][..., None]
             totals[role.group] = torch.where(goes_on, before, 0.0) + group["reward"]
             is_paid = last["mask"] | group["mask"]
-            paid, expected = totals[role.group][is_paid], group["episode_reward"][is_paid]
+            paid, expected = totals[role.group][is_paid], group["command_reward"][is_paid]
             assert torch.allclose(paid, expected, rtol=1e-5, atol=1e-4)
         assert not (after["terminated"] & after["truncated"]).any()
         current = after

@@ -9,13 +9,14 @@ from marl_lanes.evaluation.benchmark_tables import (
     BEGIN,
     END,
     BenchmarkError,
+    dump_rows,
     format_markdown,
     format_rows,
     read_rows,
     write_page,
-    write_rows,
 )
 from marl_lanes.evaluation.intervals import Estimate
+from marl_lanes.files import write_json
 
 
 def row(policy, task="paper", *, success=0.5, ratio=1.25, **changes):
@@ -57,7 +58,7 @@ ROWS = [
 
 
 def test_rows_are_read_as_they_were_written(tmp_path):
-    write_rows(tmp_path / "rows.json", ROWS)
+    write_json(tmp_path / "rows.json", dump_rows(ROWS))
     assert read_rows(tmp_path / "rows.json") == ROWS
 
 
@@ -85,7 +86,7 @@ def test_a_file_without_rows_is_refused_in_one_line(tmp_path, text, message):
 
 def test_unknown_fields_and_statistics_are_refused(tmp_path):
     file = tmp_path / "rows.json"
-    write_rows(file, ROWS)
+    write_json(file, dump_rows(ROWS))
     for change in ({"colour": "red"}, {"statistics": {}}, {"decision_microseconds": {}}):
         rows = json.loads(file.read_text(encoding="utf-8"))
         (tmp_path / "wrong.json").write_text(json.dumps([rows[0] | change]), encoding="utf-8")

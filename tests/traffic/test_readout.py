@@ -35,7 +35,7 @@ def test_every_phase_and_outcome(has_longitudinal):
         "acting": live if has_longitudinal else steering,
         "outcome": agents["outcome"].astype(np.int64),
         "reward": agents["reward"].astype(np.float32)[..., None],
-        "episode_reward": agents["episode_reward"].astype(np.float32)[..., None],
+        "command_reward": agents["episode_reward"].astype(np.float32)[..., None],
         "done": terminated | truncated,
         "terminated": terminated,
         "truncated": truncated,
@@ -62,7 +62,7 @@ def test_a_follower_acts_if_a_learner_drives_it_and_ends_with_its_changer():
     assert columns["mask"].tolist() == [[True, True, False, False]]
     assert columns["acting"].tolist() == [[True, False, False, True]]
     assert (columns["reward"] == 0.5).all()
-    assert (columns["episode_reward"] == 2.0).all()
+    assert (columns["command_reward"] == 2.0).all()
     assert columns["done"][0, :, 0].tolist() == [False, False, True, True]
     assert columns["terminated"][0, :, 0].tolist() == [False, False, True, False]
     assert columns["truncated"][0, :, 0].tolist() == [False, False, False, True]

@@ -129,6 +129,6 @@ def test_a_file_is_chosen_if_no_override_names_one():
 def test_a_command_line_can_be_given_again(monkeypatch):
     options = ["output=my runs/a", "network.hidden_sizes=[3, 4]"]
     wanted = ["python", "agents/naf/train.py", *options]
-    assert shlex.split(describe_command("agents/naf/train.py", options)) == wanted
+    assert shlex.split(describe_command("python agents/naf/train.py", options)) == wanted
     monkeypatch.setattr(sys, "argv", ["train.py", *options])
-    assert shlex.split(describe_command("agents/naf/train.py")) == wanted
+    assert shlex.split(describe_command("python agents/naf/train.py")) == wanted

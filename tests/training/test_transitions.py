@@ -199,7 +199,7 @@ def two_groups(acting, after, done):
     following = group(
         after,
         reward=torch.ones(*size, 1),
-        episode_reward=torch.full((*size, 1), 7.0),
+        command_reward=torch.full((*size, 1), 7.0),
         truncated=torch.zeros(*size, 1, dtype=torch.bool),
         **flags,
     )

@@ -21,6 +21,8 @@ from collecting import (
 )
 
 from marl_lanes import LaneChangeEnv
+from marl_lanes.plugins import import_modules
+from marl_lanes.traffic.roles.external import _registered
 from marl_lanes.training.collectors import LocalCollector, WorkerError
 from marl_lanes.training.workers import ProcessCollector, WorkerEnv, _worker_envs
 
@@ -38,6 +40,21 @@ def worker_env(worker, seed=SEED):
     return WorkerEnv(
         worker, scenario, NUM_ROADS // 2, seed=seed, learned_followers=False, has_state=False
     )
+
+
+def test_a_worker_imports_what_the_user_has_imported(tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    text = "from marl_lanes import register_follower\nregister_follower('mine', len)\n"
+    Path("their_module.py").write_text(text, encoding="utf-8")
+    import_modules(["their_module"])
+    mix = {"followers": {"mix": {"mine": 1.0}}}
+    make_env, _ = _worker_envs(LaneChangeEnv("paper", 2, overrides=BUSY | mix, seed=0), 2)
+    # As in a process that has begun just now, in another folder.
+    monkeypatch.chdir("elsewhere")
+    del sys.modules["their_module"], _registered["mine"]
+    assert make_env().scenario.followers.mix == {"mine": 1.0}
+    del sys.modules["their_module"], _registered["mine"]
 
 
 def test_the_roads_of_the_workers_are_those_of_one_process():

@@ -1,5 +1,6 @@
 """The user's own modules, which are run: followers that they register, and policies."""
 
+import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,12 +15,29 @@ from numpy.typing import NDArray
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown
 
+imported: list[str] = []
+"""What ``import_modules`` has imported in this process; its workers need it, too."""
 
-def import_modules(names: Sequence[str]) -> None:
-    """Import the user's modules, from the current folder, too.
+
+def add_import(parser: argparse.ArgumentParser) -> None:
+    """Add --import; ``import_modules`` takes its value, ``modules``."""
+    parser.add_argument(
+        "--import",
+        action="append",
+        default=[],
+        dest="modules",
+        metavar="MODULE",
+        help="first import this module, which calls register_follower; the current folder is also "
+        "searched; may be given more than once",
+    )
+
+
+def import_modules(names: Sequence[str], folder: Path | None = None) -> None:
+    """Import the user's modules.
 
     Args:
         names: dotted names, the values of --import.
+        folder: that is also searched; None: the current one.
 
     Raises:
         ValueError: one is not a dotted name, cannot be found, or raises an error.
@@ -28,7 +46,9 @@ def import_modules(names: Sequence[str]) -> None:
         if not _is_dotted(name):
             raise ValueError(f"--import {shown(name)}: must be the dotted name of a module")
         with _telling(f"--import {name}"):
-            _import(name)
+            _import(name, folder)
+        if name not in imported:
+            imported.append(name)
 
 
 def names_function(name: str) -> bool:
@@ -77,14 +97,14 @@ def _is_dotted(name: str) -> bool:
     return all(part.isidentifier() for part in name.split("."))
 
 
-def _import(name: str) -> Any:
+def _import(name: str, folder: Path | None = None) -> Any:
     # An installed command does not search the current folder for modules by itself.
-    folder = str(Path.cwd())
-    sys.path.insert(0, folder)
+    searched = str(folder or Path.cwd())
+    sys.path.insert(0, searched)
     try:
         return import_module(name)
     finally:
-        sys.path.remove(folder)
+        sys.path.remove(searched)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from marl_lanes import load_scenario
-from marl_lanes.cli.imports import import_modules, import_policy, names_function
+from marl_lanes.plugins import import_modules, import_policy, imported, names_function
 
 PAPER = load_scenario("paper")
 SEEN = np.ones((3, 6), np.float32)
@@ -32,10 +32,22 @@ def write(tmp_path, monkeypatch):
 )
 def test_another_module_is_refused(name, message):
     before = list(sys.path)
+    imported.clear()
     with pytest.raises(ValueError) as caught:  # noqa: PT011
         import_modules(["json", name])
     assert str(caught.value) == message
     assert sys.path == before
+    assert imported == ["json"]
+
+
+def test_another_folder_may_be_searched(tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "there.py").write_text("found = 1\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="No module named 'there'"):
+        import_modules(["there"])
+    import_modules(["there"], tmp_path / "elsewhere")
+    assert sys.modules.pop("there").found == 1
 
 
 @pytest.mark.parametrize(
