@@ -120,8 +120,13 @@ def _cascade(gains: CascadeGains[float]) -> Callable[..., Column]:
     """Speed, deviation, yaw, relative yaw rate to the yaw acceleration."""
 
     def steer(speed: Column, deviation: Column, yaw: Column, turning: Column) -> Column:
-        seen = map(torch.from_numpy, (speed, deviation, yaw, turning))
-        steering, _ = steer_by_cascade(*seen, gains)
+        steering, _ = steer_by_cascade(
+            torch.from_numpy(speed),
+            torch.from_numpy(deviation),
+            torch.from_numpy(yaw),
+            torch.from_numpy(turning),
+            gains,
+        )
         return np.asarray(steering.numpy())
 
     return steer
