@@ -8,6 +8,7 @@
 # make mutation - small faults put into naf/ and traffic/, and which of them the tests let pass: hours (ARGS="--share 0.1": less)
 # make zoo - train the policies of marl_lanes/zoo/ anew, measure them, write their files and the index: an hour
 #            (ARGS="--processes N": N trainings at a time)
+# make docs - the documentation as a site, in site/, which needs no server and no network (.venv-docs)
 # make figures - draw the figures of docs/ anew, in a few minutes
 # make reproduction - train once with the values of the paper, and write docs/reproduction.md; half an hour
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
@@ -30,7 +31,7 @@ INTERPRETED := -m "not (training or slow or long)" tests/traffic/test_golden.py 
 # What stands before the tests of `check` and `test`, side by side.
 MAKEFLAGS += --jobs=2
 
-.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels zoo figures reproduction benchmark clean
+.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels zoo docs figures reproduction benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -49,6 +50,17 @@ test-lowest test-newest: test-%: .venv-%/installed
 .venv-%/installed: pyproject.toml constraints-%.txt
 	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
 	.venv-$*/bin/python -m pip install --quiet --constraint constraints-$*.txt --editable '.[dev]'
+	touch $@
+
+# The site is made of the sources: its environment needs none of the package's dependencies.
+docs: .venv-docs/installed
+	.venv-docs/bin/python -m mkdocs build --strict --quiet
+
+.venv-docs/installed: pyproject.toml constraints.txt
+	test -x .venv-docs/bin/python || $(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]\
+		["optional-dependencies"]["docs"], sep="\n")' > .venv-docs/requirements.txt
+	.venv-docs/bin/python -m pip install --quiet --constraint constraints.txt --requirement .venv-docs/requirements.txt
 	touch $@
 
 trials: kernels
@@ -87,6 +99,11 @@ figures: $(VENV)/installed
 		--figure docs/figures/followers.svg --figure docs/figures/followers.png
 	$(BIN)/marl-lanes record tuned-cascade --scenario yielding --follow changer_7 --start 39 --seconds 9 \
 		--span 150 --size 800x500 --out docs/figures/highway.gif
+	$(BIN)/marl-lanes followers zoo:interactive --scenario interactive --followers neutral adversarial learned:zoo:adversary \
+		--maneuvers 100 --figure docs/figures/tutorial_gap.svg --figure docs/figures/tutorial_gap.png
+	$(BIN)/marl-lanes record zoo:interactive --scenario interactive --followers neutral learned:zoo:adversary \
+		--out docs/figures/tutorial_adversary.png
+	$(BIN)/python docs/programs/life.py --figure docs/figures/life.svg --figure docs/figures/life.png
 	$(BIN)/python agents/memory/recognise.py --output build/recognition.json \
 		--figure docs/figures/recognition.svg --figure docs/figures/recognition.png
 	$(BIN)/python agents/adversary/ratings.py docs/league/ratings.json \
@@ -119,4 +136,4 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv-lowest .venv-newest build dist .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf .venv-lowest .venv-newest .venv-docs build dist site .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

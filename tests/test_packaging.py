@@ -42,6 +42,28 @@ print(*list_scenarios())
 print(importlib.metadata.version("marl-lanes"))
 """
 
+TYPED = """
+import numpy as np
+from numpy.typing import NDArray
+
+from marl_lanes import LaneChangeEnv, Scenario, load_scenario, parallel_env, register_follower
+
+
+def brake(observations: NDArray[np.float32]) -> NDArray[np.float64]:
+    return np.full(len(observations), -1.0)
+
+
+register_follower("brake", brake)
+scenario: Scenario = load_scenario("paper", {"followers": {"mix": {"brake": 1.0}}})
+length: float = scenario.road.length
+env = parallel_env(scenario, seed=0)
+observations, infos = env.reset(seed=0)
+steering: NDArray[np.float32] = observations["changer_0"]
+roads = LaneChangeEnv(scenario, num_envs=2, seed=0)
+number: int = roads.initial_seed
+"""
+"""How a program of somebody else uses the package."""
+
 
 def run(*command, cwd, **environment):
     done = subprocess.run(
@@ -107,9 +129,10 @@ def test_the_wheel_carries_its_license_and_command(wheel, names):
         assert "marl-lanes = marl_lanes.cli.main:main" in archive.read(entry_points).decode()
 
 
-def test_the_installed_wheel_runs_from_another_folder(wheel, tmp_path):
-    home, elsewhere = tmp_path / "venv", tmp_path / "elsewhere"
-    elsewhere.mkdir()
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """The interpreter of an environment with the wheel, and an empty folder to work in."""
+    home, elsewhere = tmp_path_factory.mktemp("venv"), tmp_path_factory.mktemp("elsewhere")
     venv.create(home, with_pip=False, symlinks=True)
     python = home / "bin" / "python"
     install = ("install", "--quiet", "--no-deps", "--no-index", "--no-compile", wheel)
@@ -119,12 +142,33 @@ def test_the_installed_wheel_runs_from_another_folder(wheel, tmp_path):
     (site,) = home.glob("lib/python*/site-packages")
     paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
     (site / "dependencies.pth").write_text("\n".join(sorted(paths)) + "\n")
+    return python, elsewhere
+
+
+def test_the_installed_wheel_runs_from_another_folder(wheel, installed):
+    python, elsewhere = installed
     # Interpreted, because compiling the kernel again would take half a minute.
     output = run(python, "-c", PROGRAM, cwd=elsewhere, NUMBA_DISABLE_JIT="1")
     *_, scenarios, version = output.splitlines()
     assert scenarios.split() == sorted(path.stem for path in ROOT.glob("scenarios/*.yaml"))
     assert wheel.name.startswith(f"marl_lanes-{version}-")
     # Up to where it would train: code, fields and recipes are in the wheel.
-    train = (home / "bin" / "marl-lanes", "train", "scenario=interactive", "--cfg", "job")
+    train = (python.parent / "marl-lanes", "train", "scenario=interactive", "--cfg", "job")
     config = yaml.safe_load(run(*train, cwd=elsewhere, PYTHONWARNINGS="default"))
     assert (config["recipe"], config["network"]["mu"]) == ("interactive", "cascade+idm")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("checker", ["mypy", "pyright"])
+def test_its_types_are_seen_from_outside(installed, checker):
+    pytest.importorskip(checker, reason=f"to check the types with it: pip install {checker}")
+    python, elsewhere = installed
+    (elsewhere / "right.py").write_text(TYPED, encoding="utf-8")
+    (elsewhere / "wrong.py").write_text(TYPED.replace("length: float", "length: str"))
+    option = {"mypy": ("--strict", "--python-executable"), "pyright": ("--pythonpath",)}[checker]
+    command = [sys.executable, "-m", checker, *option, python]
+    for name, status in (("right.py", 0), ("wrong.py", 1)):
+        done = subprocess.run(
+            [*command, name], cwd=elsewhere, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == status, done.stdout + done.stderr

@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
@@ -20,6 +21,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 EXTRAS = PROJECT["optional-dependencies"]
 FOLDERS = ["agents", "benchmarks", "docs", "marl_lanes", "scenarios", "tests"]
 FILES = [".ci/run", "CHANGELOG.md", "LICENSE", "Makefile", "README.md", "SECURITY.md"]
+FILES += ["CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "MANIFEST.in", "mkdocs.yml"]
+FILES += [".github/pull_request_template.md", ".github/workflows/tests.yml"]
 FILES += ["constraints.txt", "constraints-lowest.txt", "constraints-newest.txt", "pyproject.toml"]
 MAX_LINES = 420
 
@@ -76,6 +79,10 @@ def read_pins(name):
     return found
 
 
+def read(name):
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
 PINS = {path.name: read_pins(path.name) for path in ROOT.glob("constraints*.txt")}
 
 
@@ -105,6 +112,27 @@ def test_every_dependency_is_pinned_within_its_range(requirement):
     # Every dependency needs a lower bound, and the tests are run with it.
     (lowest,) = (Version(one.version) for one in requirement.specifier if one.operator == ">=")
     assert PINS["constraints-lowest.txt"][name] == lowest
+
+
+def test_what_makes_the_site_is_pinned_within_its_range():
+    for requirement in map(Requirement, EXTRAS["docs"]):
+        pin = PINS["constraints.txt"][canonicalize_name(requirement.name)]
+        assert requirement.specifier.contains(pin)
+
+
+def test_the_version_is_the_same_everywhere():
+    newest = PROJECT["version"]
+    cited = yaml.safe_load(read("CITATION.cff"))
+    assert cited["version"] == newest
+    versions = re.findall(r"^## \[(\d[^\]]*)\]", read("CHANGELOG.md"), re.MULTILINE)
+    assert versions[0] == newest
+
+
+def test_the_workflow_runs_what_ci_runs():
+    jobs = yaml.safe_load(read(".github/workflows/tests.yml"))["jobs"]
+    assert {"run": ".ci/run"} in jobs["whole"]["steps"]
+    lowest = PROJECT["requires-python"].removeprefix(">=")
+    assert min(jobs["quick"]["strategy"]["matrix"]["python"], key=Version) == lowest
 
 
 @pytest.mark.parametrize("name", ["numba", "tensordict", "torch", "torchrl"])

@@ -2,7 +2,7 @@
 
 python agents/adversary/train.py changer=CHECKPOINT [scenario=NAME]
     [objective=adversarial|cooperative] [seed=N] [output=DIR] [resume=RUN]
-    [any field of the config]
+    [--import MODULE] [any field of the config]
 """
 
 from collections.abc import Sequence

@@ -3,10 +3,12 @@
 python agents/baselines/compare.py [--output runs/comparison] [--scenario paper] [--seeds 0 1 2]
     [--algorithms ippo mappo sac td3 ddpg naf naf-scratch] [--policies tuned-cascade]
     [--transitions 150000] [--seconds 60] [--processes 1] [--docs docs/baselines.md] [--quick]
+    [--report]
 
 Every algorithm trains once with so many transitions, then with as many as it makes in so many
-seconds at the speed of the first training. The same command goes on after an interruption. naf is
-recipe fast, whose demonstrations count among its transitions; naf-scratch has none.
+seconds at the speed of the first training. The same command goes on after an interruption;
+--report writes the table again without measuring. naf is recipe fast, whose demonstrations count
+among its transitions; naf-scratch has none.
 """
 
 import argparse
@@ -15,9 +17,11 @@ import json
 import timeit
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from math import ceil, inf
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -49,8 +53,8 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
 }
 """By algorithm, the program that trains with it and its first arguments."""
 
-NUM_GLANCES = 10
-"""Maneuvers for each of them in the training itself."""
+NUM_GLANCES = 1
+"""Maneuvers for each saved model in the training itself: what counts is measured after it."""
 
 STAGE_ONE = 0.375
 """Share of the transitions in NAF's first stage, as in its recipe fast."""
@@ -63,6 +67,9 @@ DEMONSTRATED = 0.2
 
 GOOD_RATIO, GOOD_SUCCESS = 1.15, 0.98
 """A model counts as good that has this cost ratio at most, and this success rate at least."""
+
+RESULT_FILE = "comparison.json"
+"""Of the comparison, and of each run."""
 
 SEED = 1_000_000
 """Of the maneuvers of final models and policies; those of saved models have the next one."""
@@ -114,35 +121,55 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parse(arguments)
     torch.set_num_threads(1)
     with refusing():
-        scenario = load_scenario(options.scenario)
-        policies = {name: make_policy(name, scenario, SEED) for name in options.policies}
         check_docs(options.docs)
-    with ending(options.output):
-        with refusing():
-            runs = train(options)
-        if runs is None:
-            print("interrupted; the same command goes on")
-            return
-        measured = {
-            name: {"": [measure(policy, scenario, options)]} for name, policy in policies.items()
-        }
-        bar = tqdm(runs.items(), unit="run", desc="measuring")
-        for (algorithm, budget), folders in bar:
-            found = [measure_run(folder, scenario, options) for folder in folders]
-            measured.setdefault(algorithm, {})[budget] = found
-    rows = [
-        summarise(name, budget, found)
-        for name, budgets in measured.items()
-        for budget, found in budgets.items()
-    ]
-    write_json(options.output / "comparison.json", {"scenario": scenario.name, "rows": rows})
-    write_rows(options.output / "comparison.csv", rows)
+        rows = read_rows(options.output) if options.report else None
+    if rows is None:
+        rows = compare(options)
+    if rows is None:
+        print("interrupted; the same command goes on")
+        return
     table = format_table(rows)
     print(table)
     if options.docs is not None:
         before, _, rest = options.docs.read_text(encoding="utf-8").partition(MARKS[0])
         after = rest.partition(MARKS[1])[2]
         write_text(options.docs, f"{before}{MARKS[0]}\n{table}\n{MARKS[1]}{after}")
+
+
+def compare(options: argparse.Namespace) -> list[dict[str, Any]] | None:
+    """Train and measure; write the rows and return them. None if interrupted."""
+    with refusing():
+        scenario = load_scenario(options.scenario)
+        for name in options.policies:
+            make_policy(name, scenario, SEED)
+    with ending(options.output):
+        with refusing():
+            runs = train(options)
+        if runs is None:
+            return None
+        tasks = [Task(name, "", None) for name in options.policies]
+        # In the table by algorithm, in whatever order they were trained.
+        keys = sorted(runs, key=lambda key: [*PROGRAMS].index(key[0]))
+        tasks += [Task(*key, folder) for key in keys for folder in runs[key]]
+        measured: dict[tuple[str, str], list[dict[str, Any]]] = {}
+        for task, found in zip(tasks, measure_all(tasks, options), strict=True):
+            measured.setdefault((task.name, task.budget), []).append(found)
+    rows = [summarise(*key, found) for key, found in measured.items()]
+    write_json(options.output / RESULT_FILE, {"scenario": scenario.name, "rows": rows})
+    write_rows(options.output / "comparison.csv", rows)
+    return rows
+
+
+def read_rows(folder: Path) -> list[dict[str, Any]]:
+    """The rows that a comparison has written.
+
+    Raises:
+        OSError, ValueError: there are none.
+    """
+    rows = read(folder / RESULT_FILE).get("rows")
+    if not isinstance(rows, list):
+        raise ValueError(f"--output {folder}: {RESULT_FILE} must have the rows of a comparison")
+    return rows
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -160,8 +187,13 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--saved-models", type=int, default=10, help="that each training saves")
     parser.add_argument("--saved-maneuvers", type=int, default=200, help="for each saved model")
-    parser.add_argument("--processes", type=int, default=1, help="trainings at a time")
+    parser.add_argument(
+        "--processes", type=int, default=1, help="trainings, then measurements, at a time"
+    )
     parser.add_argument("--docs", type=Path, help="a Markdown file whose table is replaced")
+    parser.add_argument(
+        "--report", action="store_true", help="only write the table of a finished comparison again"
+    )
     parser.add_argument("--quick", action="store_true", help="a tiny comparison, to see it work")
     options = parser.parse_args(arguments)
     if options.quick:
@@ -260,14 +292,45 @@ def read(path: Path) -> dict[str, Any]:
     return content
 
 
+class Task(NamedTuple):
+    """What is measured: the run in the folder, or, without one, the policy of this name."""
+
+    name: str
+    budget: str
+    folder: Path | None
+
+
+def measure_all(tasks: Sequence[Task], options: argparse.Namespace) -> list[dict[str, Any]]:
+    """What each achieves, in so many processes."""
+    measure_it = partial(measure_task, options=options)
+    bar = partial(tqdm, total=len(tasks), unit="policy", desc="measuring")
+    if options.processes == 1:
+        return [*bar(map(measure_it, tasks))]
+    # A fork of a process in which numba's threads have run does not survive.
+    with get_context("spawn").Pool(options.processes) as pool:
+        return [*bar(pool.imap(measure_it, tasks))]
+
+
+def measure_task(task: Task, options: argparse.Namespace) -> dict[str, Any]:
+    """What one achieves."""
+    torch.set_num_threads(1)
+    scenario = load_scenario(options.scenario)
+    if task.folder is not None:
+        return measure_run(task.folder, scenario, options)
+    return measure(make_policy(task.name, scenario, SEED), scenario, options)
+
+
 def measure_run(folder: Path, scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
     """What a training's final model achieves, and when a saved one was good; kept in its folder."""
-    path = folder / "comparison.json"
+    path = folder / RESULT_FILE
+    asked = {"maneuvers": options.maneuvers, "saved_maneuvers": options.saved_maneuvers}
     if path.exists():
-        return read(path)
+        kept = read(path)
+        if kept["asked"] == asked:
+            return kept
     checkpoints = folder / CHECKPOINTS_FOLDER
     final = make_policy(str(checkpoints / FINAL_MODEL), scenario, SEED)
-    found = measure(final, scenario, options)
+    found = measure(final, scenario, options) | {"asked": asked}
     config = yaml.safe_load((folder / CONFIG_FILE).read_text(encoding="utf-8"))
     demonstrated = config.get("demonstrations", {"num_transitions": 0})["num_transitions"]
     found["transitions_to_good"] = None
@@ -345,6 +408,7 @@ def summarise(name: str, budget: str, found: Sequence[Mapping[str, Any]]) -> dic
     for key, *_ in COLUMNS:
         columns = ("return", "optimal_return") if key == "cost_ratio" else (key, None)
         row[key] = asdict(estimate(seeds, *columns))
+    row["success_of_seeds"] = [float(np.mean(one["success_rate"])) for one in seeds]
     for key in FIGURES:
         row[key] = [one.get(key) for one in found]
     return row
@@ -369,7 +433,8 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """The rows in Markdown."""
-    titles = ["policy", "budget", *(title for _, title, *_ in COLUMNS)]
+    first, *others = (title for _, title, *_ in COLUMNS)
+    titles = ["policy", "budget", first, "by seed", *others]
     titles += [
         "transitions",
         "training [s]",
@@ -384,15 +449,18 @@ def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
         one, many = (f"{np.mean(row[f'microseconds_of_{size}']):.0f}" for size in BATCHES)
         is_trained = bool(row["budget"])
         needed = ["never" if one is None else f"{one:,}" for one in row["transitions_to_good"]]
-        figures = ["-"] * 3
+        by_seed, figures = "-", ["-"] * 3
         if is_trained:
+            by_seed = ", ".join(f"{100.0 * rate:.1f}" for rate in row["success_of_seeds"])
             figures = [
                 f"{np.mean(row['transitions']):,.0f}",
                 f"{np.mean(row['training_seconds']):.0f}",
                 ", ".join(needed),
             ]
         name = row["policy"]
-        lines.append([name, row["budget"] or "-", *estimates, *figures, f"{one} / {many}"])
+        success, *others = estimates
+        cells = [name, row["budget"] or "-", success, by_seed, *others, *figures]
+        lines.append([*cells, f"{one} / {many}"])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -66,6 +66,7 @@ QUICK = (
 OTHER_GAMMA = 0.99
 """Of one more training."""
 GAMMAS = (0.95, OTHER_GAMMA, 0.998)
+MANEUVER_TITLE = "The same maneuver with the first saved and the final model"
 SPEEDS = (16.0, 20.0, 24.0, 28.0)
 """[m/s] Of the changes whose discounted cost is shown."""
 LONGEST = 120
@@ -164,7 +165,8 @@ def report(options: argparse.Namespace, scenarios: Mapping[str, Scenario]) -> No
             rows.append(measure_run(path, models, scenarios[name]))
         starts, ends = ([models[index][0] for models in driven] for index in (0, 1))
         stem = figures / f"reproduction_maneuver_{scenarios[name].name}"
-        draw_maneuver(stem, starts, ends, label_models(paths[0]), scenarios[name])
+        shown_models = dict(zip(label_models(paths[0]), (starts, ends), strict=True))
+        draw_maneuver(stem, MANEUVER_TITLE, shown_models, scenarios[name])
     name, seed = options.scenarios[0], options.seeds[0]
     path = output / f"{name}_{seed}_gamma"
     others: Rows = []

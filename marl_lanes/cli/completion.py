@@ -40,6 +40,6 @@ def answer(parser: argparse.ArgumentParser) -> None:
 
 
 def _show_script(options: argparse.Namespace) -> None:
-    from argcomplete import shellcode
+    from argcomplete.shell_integration import shellcode
 
     say(shellcode(["marl-lanes"], shell=options.shell).strip("\n"))

@@ -1,7 +1,6 @@
 """The command that shows a running simulation in the browser."""
 
 import argparse
-import asyncio
 import gc
 import threading
 import webbrowser
@@ -60,6 +59,9 @@ def add(commands: Commands) -> None:
 def _watch(options: argparse.Namespace) -> None:
     for package in ("starlette", "uvicorn"):
         need(package, "view")
+
+    # Here, because other commands do not need it, and it is slow to load.
+    import asyncio
 
     from marl_lanes.browser.hub import Hub
     from marl_lanes.browser.server import LiveServer, open_socket

@@ -19,6 +19,7 @@ from marl_lanes.evaluation.style import (
     HEAT,
     LINE_STYLES,
     RED,
+    TEAL,
     WIDTH,
     styled,
     write_figure,
@@ -111,29 +112,24 @@ def _draw_saved_models(
 
 @styled
 def draw_maneuver(
-    stem: Path,
-    first: Sequence[Maneuver],
-    last: Sequence[Maneuver],
-    labels: tuple[str, str],
-    scenario: Scenario,
+    stem: Path, title: str, models: Mapping[str, Sequence[Maneuver]], scenario: Scenario
 ) -> None:
-    """Draw yaw acceleration and yaw rate of two models in the same maneuver (Figure 8).
+    """Draw yaw acceleration and yaw rate of several models in the same maneuver (Figure 8).
 
     Args:
         stem: path of the figure without its ending; every one of FORMATS is written.
-        first: maneuver of the one model, once for each training that it was saved in.
-        last: the same maneuver of the other model, likewise.
-        labels: names of both.
+        title: of the figure.
+        models: by each model's name, at most three, its maneuver, once for each training that it
+            was saved in.
         scenario: scenario of the maneuver.
     """
-    title = "The same maneuver with the first saved and the final model"
     figure, panels = new_figure(title, 2)
+    looks = ((RED, LINE_STYLES[1]), (BLUE, LINE_STYLES[0]), (TEAL, LINE_STYLES[2]))
     for axes, name, unit in zip(
         panels, ("yaw_acceleration", "yaw_rate"), ("rad/s²", "rad/s"), strict=True
     ):
-        for maneuvers, label, color, look in (
-            (first, labels[0], RED, LINE_STYLES[1]),
-            (last, labels[1], BLUE, LINE_STYLES[0]),
+        for (label, maneuvers), (color, look) in zip(
+            models.items(), looks[: len(models)], strict=True
         ):
             for index, maneuver in enumerate(maneuvers):
                 values = maneuver.trace[name]

@@ -35,7 +35,7 @@ FIGURES = {
     "saved_models": "Figure 7 of the paper: the mean return of each saved model over its completed "
     "maneuvers, without noise; below it the shares that succeeded and that were completed.",
     "first_and_last": "Figure 8 of the paper: yaw acceleration and yaw rate in one maneuver, with "
-    "the first saved and the final model.",
+    "the first saved, the final and the last saved model.",
 }
 """Caption of each figure, in the order of the page."""
 

@@ -173,8 +173,8 @@ class EvaluationConfig(Section):
     )
     record: bool = Field(
         strict=True,
-        description="record the first road of each saved model's evaluation, film the first and "
-        "the last model, and make replays of the final model's failures",
+        description="record the first road of each saved model's evaluation, film the first, "
+        "the final and the last model, and make replays of the final model's failures",
     )
 
     @property
@@ -246,7 +246,8 @@ class ProgramConfig(Section):
     )
     num_threads: Processes = Field(description="threads of torch")
     device: Device = Field(
-        description="where the network acts and learns: cpu, or cuda[:N]; the traffic is on the CPU"
+        description="where the network acts and learns, and where one process collects for "
+        "changers the roads are: cpu, or cuda[:N]"
     )
 
 

@@ -269,7 +269,7 @@ class RunFolder:
 
     @property
     def film(self) -> Path:
-        """The first and the last saved model side by side."""
+        """The first, the final and the last saved model on the same road."""
         return self.path / FILM_FILE
 
     @property

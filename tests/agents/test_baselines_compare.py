@@ -2,6 +2,7 @@
 
 import csv
 import json
+import multiprocessing.dummy
 from pathlib import Path
 
 import pytest
@@ -77,9 +78,41 @@ def test_a_comparison_of_two_budgets_and_a_policy(program, tmp_path, monkeypatch
     with (tmp_path / "out" / "comparison.csv").open(newline="", encoding="utf-8") as file:
         assert [row["policy"] for row in csv.DictReader(file)] == ["lane-keeping", "ippo", "ippo"]
     # What is measured of a run is kept with it.
-    monkeypatch.setattr(program, "drive", None)
+    monkeypatch.setattr(program, "measure", None)
+    docs.write_text("\n".join(program.MARKS), "utf-8")
+    again, _ = run_main(program, tmp_path, *options, "--report")
+    assert again == out
+    assert docs.read_text("utf-8") == f"{program.MARKS[0]}\n{out}{program.MARKS[1]}"
     again, _ = run_main(program, tmp_path, *options[:-4], "--policies")
     assert again.splitlines()[-2:] == out.splitlines()[-2:]
+
+
+def test_what_is_measured_at_a_time_keeps_its_place(program, monkeypatch):
+    """Threads instead of processes, for the program is no module here."""
+    monkeypatch.setattr(program, "get_context", {"spawn": multiprocessing.dummy}.get)
+    monkeypatch.setattr(program, "measure_run", lambda folder, *_: folder)
+    monkeypatch.setattr(program, "make_policy", lambda name, *_: name)
+    monkeypatch.setattr(program, "measure", lambda policy, *_: policy)
+    options = program.parse(["--processes", "3"])
+    tasks = [program.Task("ippo", "400 transitions", Path(str(number))) for number in range(20)]
+    tasks += [program.Task("quintic", "", None)]
+    found = program.measure_all(tasks, options)
+    assert found == [*(Path(str(number)) for number in range(20)), "quintic"]
+
+
+def test_the_success_of_each_seed_is_shown(program):
+    """A mean hides that some seeds have not learned it."""
+    columns = {key: [0.5] for key, *_ in program.COLUMNS} | {"return": [-4.0], "road": [0]}
+    columns["optimal_return"] = [-4.0]
+    figures = {"microseconds_of_1": 1.0, "microseconds_of_64": 1.0, "transitions_to_good": None}
+    figures |= {"transitions": 100, "training_seconds": 1.0}
+    found = [{"maneuvers": columns | {"success_rate": [rate]}, **figures} for rate in (1.0, 0.0)]
+    row = program.summarise("ippo", "100 transitions", found)
+    assert row["success_of_seeds"] == [1.0, 0.0]
+    header, _, line = program.format_table([row]).splitlines()
+    place = header.split(" | ").index("by seed")
+    assert line.split(" | ")[place] == "100.0, 0.0"
+    assert line.split(" | ")[place - 1].startswith("50.0 [")
 
 
 def test_without_seconds_there_is_one_budget(program, tmp_path, monkeypatch):
@@ -121,11 +154,18 @@ def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatc
     result = program.measure_run(tmp_path, scenario, options)
     assert result == {
         "maneuvers": {},
+        "asked": {"maneuvers": 1000, "saved_maneuvers": 200},
         "transitions_to_good": 250,
         "training_seconds": 3.0,
         "transitions": 300,
     }
     assert len(asked) == 2
+    assert program.measure_run(tmp_path, scenario, options) == result
+    assert len(asked) == 2
+    # Other maneuvers than those that were kept.
+    options.saved_maneuvers = 3
+    program.measure_run(tmp_path, scenario, options)
+    assert len(asked) == 4
     dear = found | {"success_rate": (1.0, 1.0), "return": [-5.0, None]}
     assert [program.is_good(dear | {"return": [-4.5, cost]}) for cost in (None, -4.7, -4.8)] == [
         True,
@@ -175,6 +215,7 @@ def test_whatever_falls_falls_over_the_whole_budget(program):
         (["--algorithms", "ppo2"], "argument --algorithms: invalid choice: 'ppo2'"),
         (["--policies", "nobody"], "checkpoint nobody: cannot be read"),
         (["--scenario", "nope"], "scenario 'nope': no such scenario"),
+        (["--report", "--output", "nope"], "[Errno 2]"),
         (["--docs", "absent.md"], "[Errno 2]"),
         (["--docs", "empty.md"], "--docs empty.md: must have the lines"),
     ],

@@ -200,12 +200,6 @@ CALLS = {
         *(one for one in odd(["validate", "paper"]) if one[0][2].startswith("-")),
         *fixed(("validate", "SCENARIO")),
     ],
-    "schema": [*odd(["schema"]), *fixed(("schema paper", "unrecognized arguments: paper"))],
-    "completion": [
-        *each(["completion"], ["", "tcsh", "BASH", "powershell", "\udcff"], "SHELL"),
-        *odd(["completion", "bash"]),
-        *fixed(("completion", "SHELL")),
-    ],
     "evaluate": [
         *whole_numbers(EVALUATE, "--maneuvers", "--seed"),
         *each(EVALUATE, NO_SCENARIOS, "scenario", option="--scenario"),

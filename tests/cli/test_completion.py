@@ -5,6 +5,7 @@ import os
 
 import argcomplete
 import pytest
+from cli.commands import assert_refused
 
 from marl_lanes.cli import completion
 from marl_lanes.cli.main import main, make_parser
@@ -17,6 +18,11 @@ def test_the_lines_for_a_shell_name_the_command(capsys, shell):
     assert "_ARGCOMPLETE" in out
     assert "marl-lanes" in out
     assert ("fish" in out) == (shell == "fish")
+
+
+@pytest.mark.parametrize("arguments", [[], ["tcsh"], [""], ["bash", "zsh"], ["bash", "--json"]])
+def test_another_call_is_refused(capsys, tmp_path, arguments):
+    assert_refused(capsys, tmp_path, ["completion", *arguments], "see marl-lanes")
 
 
 def raise_error(*_):

@@ -1,5 +1,6 @@
 """Files that commands write: those that cannot be, and those that would replace another."""
 
+import json
 import os
 import re
 from pathlib import Path
@@ -9,7 +10,13 @@ from cli.commands import FOLLOWERS
 
 from marl_lanes.cli import outputs
 from marl_lanes.cli.main import main
-from marl_lanes.cli.outputs import check_figures, check_outputs, check_trajectories
+from marl_lanes.cli.outputs import (
+    PRINTED,
+    check_figures,
+    check_outputs,
+    check_trajectories,
+    show_result,
+)
 
 
 def test_outputs_that_cannot_be_written_are_refused(tmp_path):
@@ -22,6 +29,27 @@ def test_outputs_that_cannot_be_written_are_refused(tmp_path):
     for figure in (tmp_path, tmp_path / "x.xyz"):
         with pytest.raises(ValueError, match="must be a file that ends in"):
             check_figures([tmp_path / "x.png", figure])
+
+
+def test_a_result_is_shown_to_people_or_to_programs(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = {"success_rate": 0.5}
+    show_result(None, result, "50 %")
+    assert capsys.readouterr().out == "50 %\n"
+    show_result(PRINTED, result, "50 %")
+    assert json.loads(capsys.readouterr().out) == result
+    assert list(tmp_path.iterdir()) == []
+    show_result(Path("new/x.json"), result, "50 %")
+    assert capsys.readouterr().out == "50 %\n"
+    assert json.loads(Path("new/x.json").read_text(encoding="utf-8")) == result
+
+
+def test_only_a_result_can_be_printed_instead_of_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("-").mkdir()
+    check_outputs([("--json", PRINTED)], [])
+    with pytest.raises(ValueError, match="--figure -: must be a file, not a folder"):
+        check_outputs([("--figure", PRINTED)], [])
 
 
 def test_a_figure_needs_matplotlib(capsys, folder, monkeypatch):

@@ -108,7 +108,8 @@ def test_the_pictures_of_a_run(tmp_path, drawn):
 def test_every_axis_has_a_unit(tmp_path, drawn):
     draw_training(make_run(tmp_path), 17, -2.25)
     scenario = load_scenario("paper")
-    draw_maneuver(tmp_path / "both", [maneuver(5, 0.25)], [maneuver(3, 0.5)], ("a", "b"), scenario)
+    models = {"a": [maneuver(5, 0.25)], "b": [maneuver(3, 0.5)], "c": [maneuver(4, 0.1)]}
+    draw_maneuver(tmp_path / "both", "Three models", models, scenario)
     draw_gaps([tmp_path / "gaps.png"], gaps_result())
     assert len(drawn) == 9
     for name, figure in drawn.items():
@@ -159,9 +160,10 @@ def test_two_models_on_one_maneuver(tmp_path, drawn, count):
     scenario = load_scenario("paper", {"time_step": 0.2})
     stem = tmp_path / "deep" / "both"
     first, last = [maneuver(count, 0.25), maneuver(2, 0.125)], [maneuver(3, -0.5)]
-    draw_maneuver(stem, first, last, ("early", "late"), scenario)
+    draw_maneuver(stem, "Two models", {"early": first, "late": last}, scenario)
     check_files(stem.parent, ["both"])
     figure = drawn["both.png"]
+    assert figure.axes[0].get_title(loc="left") == "Two models"
     early, late = (lines(figure, panel=1)[name] for name in ("early", "late"))
     drawn_rates = [line.get_ydata() for line in figure.axes[1].get_lines()]
     assert [0.125, 0.125] in [list(values) for values in drawn_rates]

@@ -5,6 +5,7 @@ from typing import Any, Literal, Protocol
 
 import torch
 from pydantic import Field
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.nn.utils import clip_grad_norm_
@@ -17,11 +18,13 @@ from marl_lanes.training.algorithms.actor_critic import ActorNetwork, CriticNetw
 from marl_lanes.training.algorithms.algorithm import OffPolicy
 from marl_lanes.training.config import (
     Magnitude,
+    Number,
     OffPolicyConfig,
     OffPolicyOptimizerConfig,
     OptimizerConfig,
     Widths,
 )
+from marl_lanes.training.transitions import live_transitions
 
 
 class Actor(Protocol):
@@ -37,6 +40,11 @@ class CriticLossConfig(Section):
     """What the losses of actors and critics have in common, and the targets."""
 
     gamma: Real = Field(ge=0.0, le=1.0, description="discount factor")
+    num_steps: Number = Field(
+        le=1000,
+        description="steps of reward before the targets' value: more bring the value of an end "
+        "sooner to the states before it; at most to the end of a collected batch",
+    )
     tau: Real = Field(gt=0.0, le=1.0, description="step of the targets' soft update")
     distance: Literal["l1", "l2", "smooth_l1"] = Field(
         description="of the critics from their target: l1, l2 or smooth_l1"
@@ -80,6 +88,8 @@ class ActorCritic(OffPolicy):
         device: where the networks learn.
     """
 
+    config: ActorCriticConfig
+
     def __init__(
         self,
         config: ActorCriticConfig,
@@ -103,6 +113,11 @@ class ActorCritic(OffPolicy):
         self.optimizer, self.rates = make_optimizer(config.optimizer, *parts)
         self.actor = actor
         self.policy = actor.policy
+
+    def take_in(self, batch: TensorDictBase) -> TensorDict:
+        """The transitions of a collected batch, (N,), over ``loss.num_steps`` steps each."""
+        loss = self.config.loss
+        return live_transitions(batch, self.group, num_steps=loss.num_steps, gamma=loss.gamma)
 
     def refresh_policy(self) -> None:
         """Copy the learned weights to the policy, if it has its own."""

@@ -4,6 +4,8 @@ import pytest
 import torch
 from learners import baseline, state, transitions
 
+from marl_lanes.training.transitions import live_transitions
+
 torch.set_num_threads(1)
 
 
@@ -37,3 +39,26 @@ def test_targets_follow_by_tau(name):
         source = after[key.removeprefix("target_")]
         wanted = before[key] + 0.25 * (source - before[key])
         assert torch.allclose(after[key], wanted, atol=1e-7), key
+
+
+@pytest.mark.parametrize("name", ["td3", "ddpg", "sac"])
+def test_a_target_over_several_steps(name):
+    """The value after three steps counts as one after a single step at the cube of gamma."""
+    losses = []
+    for gamma in (0.5, 0.125):
+        learner = baseline(name, "loss.num_steps=3", f"loss.gamma={gamma}")
+        algorithm = learner.algorithm
+        torch.manual_seed(4)
+        batch = transitions(algorithm)
+        if gamma == 0.5:
+            batch["steps_to_next_obs"] = torch.full((len(batch), 1), 3)
+            policy = learner.collector.policy
+            collected = learner.env.rollout(60, policy, break_when_any_done=False)
+            rows = algorithm.take_in(collected)
+            assert rows["steps_to_next_obs"].max() == 3
+            wanted = live_transitions(collected, num_steps=3, gamma=0.5)
+            assert torch.equal(rows["next", "reward"], wanted["next", "reward"])
+        learner.collector.shutdown()
+        torch.manual_seed(5)
+        losses.append(algorithm.take_step(batch, 1)["loss"].item())
+    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
