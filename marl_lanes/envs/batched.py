@@ -378,8 +378,7 @@ class LaneChangeEnv(Closes, EnvBase):
             )
             for name, group in groups.items()
         }
-        for key, value in root.items():
-            made[key] = torch.from_numpy(value)
+        made |= {key: torch.from_numpy(value) for key, value in root.items()}
         tensordict = make_tensordict(made, self.batch_size, near)
         return tensordict.to(device) if is_elsewhere else tensordict
 
@@ -391,7 +390,7 @@ class LaneChangeEnv(Closes, EnvBase):
 def _bounded(bounds: Bounds, batch: tuple[int, ...]) -> Bounded:
     """The spec of (*batch, *shape) with two arrays of the shape as bounds."""
     shape = (*batch, *bounds[0].shape)
-    low, high = (torch.tensor(bound).expand(shape) for bound in bounds)
+    low, high = (torch.tensor(bound, device=_CPU).expand(shape) for bound in bounds)
     return Bounded(low, high, shape, dtype=torch.float32, device=_CPU)
 
 

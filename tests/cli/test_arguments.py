@@ -12,15 +12,15 @@ def test_a_module_of_ones_own_registers_followers(capsys, folder):
     text = (
         "import numpy as np\n"
         "from marl_lanes import register_follower\n"
-        "register_follower('brakes', lambda seen: np.full(len(seen), -3.0))\n"
+        "register_follower('brakes-here', lambda seen: np.full(len(seen), -3.0))\n"
     )
     (folder / "my_followers.py").write_text(text, encoding="utf-8")
-    command = [*CROSSPLAY, "damped-prior", "--followers", "neutral", "brakes"]
+    command = [*CROSSPLAY, "damped-prior", "--followers", "neutral", "brakes-here"]
     command += ["--scenario", "quick.yaml", "--json", "table.json"]
     before = list(sys.path)
     try:
         assert main(command) == 2
-        assert "brakes" in capsys.readouterr().err
+        assert "brakes-here" in capsys.readouterr().err
         assert main([*command, "--import", "my_followers"]) == 0
     finally:
         sys.modules.pop("my_followers", None)

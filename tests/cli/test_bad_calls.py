@@ -33,7 +33,7 @@ def test_a_bad_call_is_one_line_and_nothing_is_driven_or_written(
     calls = CALLS[command]
     assert len({tuple(arguments) for arguments, _ in calls}) >= 80
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("marl_lanes.traffic.simulator.run", drive)
+    monkeypatch.setattr("marl_lanes.traffic.host.run", drive)
     before = listing(folder)
     for arguments, fragments in calls:
         status = main(arguments)

@@ -32,6 +32,7 @@ WRONG = {
     "render_mode": ("ansi", 3, [], True, ["rgb_array"]),
 }
 OF_PETTINGZOO = {"normalised", "has_flat_state", "population", "max_cycles", "render_mode"}
+OF_MANY_ROADS = {"num_envs", "num_threads", "first_road", "device"}
 CALLS = [
     (form, name, value)
     for form in FORMS
@@ -39,7 +40,7 @@ CALLS = [
     for value in values
     if name in inspect.signature(LaneChangeEnv if form is LaneChangeEnv else Simulator).parameters
     or (form in (parallel_env, env) and name in OF_PETTINGZOO)
-    if form in (Simulator, LaneChangeEnv) or name not in {"num_envs", "num_threads", "first_road"}
+    if form in (Simulator, LaneChangeEnv) or name not in OF_MANY_ROADS
 ]
 
 

@@ -53,7 +53,9 @@ def draw(node, generator, corner, default=None):
     if corner is None and default is not None and generator.random() < 0.7:
         return default
     if "anyOf" in node:
-        chosen = node["anyOf"][0 if corner is not None else generator.integers(len(node["anyOf"]))]
+        # A speed may be text, too: the same number with its unit.
+        kinds = [kind for kind in node["anyOf"] if "pattern" not in kind]
+        chosen = kinds[0 if corner is not None else generator.integers(len(kinds))]
         return draw(chosen, generator, corner, default)
     if "enum" in node:
         return node["enum"][generator.integers(len(node["enum"]))]

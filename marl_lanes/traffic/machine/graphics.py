@@ -37,7 +37,7 @@ def find_gpu(number: int) -> Any:
     if reason is None and number >= len(cuda.gpus):
         reason = f"there is no GPU {number}: there are {len(cuda.gpus)}, from 0"
     if reason is not None:
-        raise ValueError(f"device = cuda:{number}: {reason}; use device=cpu")
+        raise ValueError(f"device = cuda:{number}: must be cpu here: {reason}")
     return cuda
 
 
