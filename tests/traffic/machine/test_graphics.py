@@ -39,15 +39,19 @@ def put(monkeypatch, error=None, number=1):
 def test_a_missing_driver_and_a_missing_gpu_are_told_apart(monkeypatch):
     put(monkeypatch, error="\nCUDA driver library cannot be found.\nInstall it.\n")
     with pytest.raises(
-        ValueError, match=r"^device = cuda:0: must be cpu here: NVIDIA's driver is missing .* be found"
+        ValueError,
+        match=r"^device = cuda:0: must be cpu here: NVIDIA's driver is missing .* be found",
     ):
         Simulator("paper", device="cuda")
     put(monkeypatch, number=0)
-    with pytest.raises(ValueError, match=r"^device = cuda:0: must be cpu here: the driver is there, and no GPU"):
+    with pytest.raises(
+        ValueError, match=r"^device = cuda:0: must be cpu here: the driver is there, and no GPU"
+    ):
         Simulator("paper", device="cuda")
     put(monkeypatch, number=2)
     with pytest.raises(
-        ValueError, match=r"^device = cuda:2: must be cpu here: there is no GPU 2: there are 2, from 0"
+        ValueError,
+        match=r"^device = cuda:2: must be cpu here: there is no GPU 2: there are 2, from 0",
     ):
         Simulator("paper", device="cuda:2")
 
