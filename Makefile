@@ -106,6 +106,8 @@ figures: $(VENV)/installed
 	$(BIN)/python docs/programs/life.py --figure docs/figures/life.svg --figure docs/figures/life.png
 	$(BIN)/python agents/memory/recognise.py --output build/recognition.json \
 		--figure docs/figures/recognition.svg --figure docs/figures/recognition.png
+	$(BIN)/python agents/adversary/ratings.py docs/league/ratings.json \
+		--figure docs/figures/ratings.svg --figure docs/figures/ratings.png
 	$(BIN)/python benchmarks/convergence.py \
 		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 

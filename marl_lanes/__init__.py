@@ -12,7 +12,7 @@ from marl_lanes.starting import uncollected
 if TYPE_CHECKING:
     __version__: str
     from marl_lanes.envs.batched import LaneChangeEnv
-    from marl_lanes.envs.parallel import env, parallel_env
+    from marl_lanes.envs.forms import env, parallel_env
     from marl_lanes.naf.loss import NAFLoss
     from marl_lanes.naf.network import NAFNetwork
     from marl_lanes.scenario import Scenario, ScenarioError, list_scenarios, load_scenario
@@ -34,10 +34,10 @@ _HOME_OF = {
     "Scenario": "marl_lanes.scenario",
     "ScenarioError": "marl_lanes.scenario",
     "Simulator": "marl_lanes.traffic.simulator",
-    "env": "marl_lanes.envs.parallel",
+    "env": "marl_lanes.envs.forms",
     "list_scenarios": "marl_lanes.scenario",
     "load_scenario": "marl_lanes.scenario",
-    "parallel_env": "marl_lanes.envs.parallel",
+    "parallel_env": "marl_lanes.envs.forms",
     "register_follower": "marl_lanes.traffic.roles.external",
 }
 

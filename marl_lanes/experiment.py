@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,9 @@ from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.followers import LEARNED
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.collected import load_collected
+from marl_lanes.training.collectors import MakeCollector
 from marl_lanes.training.config import ChangersConfig, ConfigError
+from marl_lanes.training.device_collector import DeviceCollector
 from marl_lanes.training.failures import ending
 from marl_lanes.training.inputs import LEARNED_FILE, check_inputs, keep_inputs, read_scenario
 from marl_lanes.training.learner import Learner
@@ -70,15 +73,20 @@ def start(
         for package in ("pygame", "imageio_ffmpeg"):
             need(package, "view")
     torch.set_num_threads(config.num_threads)
+    device = torch.device(config.device)
+    if device.index is not None:
+        # A graph is captured on torch's present GPU.
+        torch.cuda.set_device(device)
+    # Workers have the roads on the CPU.
+    acting_device = device if config.collector.kind == "single" else CPU
     env = LaneChangeEnv(
         collected,
         config.collector.num_envs // config.num_workers,
+        device=acting_device,
         seed=config.seed,
         has_state=has_state,
     )
     torch.manual_seed(config.seed)
-    device = torch.device(config.device)
-    acting_device = device if config.collector.kind == "single" else CPU
     algorithm = make_algorithm(env, scenario, device, acting_device)
     evaluation = config.evaluation
     num_roads = ceil(evaluation.num_maneuvers / num_commands)
@@ -87,7 +95,7 @@ def start(
         config,
         env,
         algorithm,
-        make_collector=choose_collector(config.collector, config.num_workers, config.ray.address),
+        make_collector=_choose_collector(config, env, algorithm),
     )
 
     def keep() -> None:
@@ -103,6 +111,17 @@ def start(
         learner.collector.shutdown()
         raise
     return learner, read_scenario(folder)
+
+
+def _choose_collector(
+    config: ChangersConfig, env: LaneChangeEnv, algorithm: Algorithm
+) -> MakeCollector:
+    """What makes the collector that is configured; on a GPU one that does not wait for it."""
+    goes_on = env.scenario.num_agents is None and env.scenario.horizon is None
+    if config.collector.kind == "single" and env.device != CPU and goes_on:
+        is_graphed = algorithm.is_graphed and env.simulator.is_on_gpu
+        return partial(DeviceCollector, is_graphed=is_graphed)
+    return choose_collector(config.collector, config.num_workers, config.ray.address)
 
 
 def _find_files(scenario: Scenario, training_scenario: Scenario) -> dict[str, Path]:

@@ -90,20 +90,24 @@ class Grounds:
     Args:
         config: of the run.
         objective: what followers are paid for.
+        guests: further changers' checkpoints, by the names of the run's copies.
 
     Raises:
         ScenarioError, CheckpointError, ConfigError: scenario and changer cannot be, or do not fit.
     """
 
-    def __init__(self, config: InterplayConfig, objective: str) -> None:
+    def __init__(
+        self, config: InterplayConfig, objective: str, guests: Mapping[str, Path] | None = None
+    ) -> None:
         self.config = config
         self.output = Path(config.output)
         self.device = torch.device(config.device)
         self.is_new = config.resume is None
+        self.files = {CHANGER_FILE: Path(config.changer), **(guests or {})}
         if self.is_new:
             check_empty(self.output)
         else:
-            check_inputs(self.output, [CHANGER_FILE])
+            check_inputs(self.output, self.files)
         paid = {"followers": {"learned": {"objective": objective}}}
         self.scenario = (
             load_scenario(config.scenario, paid) if self.is_new else read_scenario(self.output)
@@ -116,25 +120,38 @@ class Grounds:
         self.check_learner("follower", part)
         torch.set_num_threads(config.num_threads)
 
-    @property
-    def first_changer(self) -> Path:
-        """The changer that the run begins with; the run's own copy once it is there."""
-        kept = self.output / CHANGER_FILE
-        return Path(self.config.changer) if self.is_new and not kept.exists() else kept
-
-    def load_first_changer(self, load: Callable[[Path, Scenario], Any] = load_policy) -> Any:
-        """The network of the changer that the run begins with.
+    def find_changer(self, name: str = CHANGER_FILE) -> Path:
+        """A changer's checkpoint; the run's own copy once it is there.
 
         Args:
+            name: of the copy.
+        """
+        kept = self.output / name
+        return self.files[name] if self.is_new and not kept.exists() else kept
+
+    def load_changer(
+        self,
+        field: str = "changer",
+        name: str = CHANGER_FILE,
+        scenario: Scenario | None = None,
+        load: Callable[[Path, Scenario], Any] = load_policy,
+    ) -> Any:
+        """The network of a changer that the run was given.
+
+        Args:
+            field: of the configuration, for messages.
+            name: of the run's copy.
+            scenario: that it must fit; None: that of the run.
             load: reads a checkpoint that fits a scenario.
 
         Raises:
             ConfigError: it cannot be read, or does not fit the scenario.
         """
         try:
-            return load(self.first_changer, self.scenario).network
+            return load(self.find_changer(name), scenario or self.scenario).network
         except CheckpointError as error:
-            raise ConfigError(f"changer = {self.config.changer!r}: {error}") from None
+            given = str(self.files[name])
+            raise ConfigError(f"{field} = {given!r}: {error}") from None
 
     def check_learner(self, name: str, part: ChangerConfig) -> None:
         """Refuse what does not fit in memory, what cannot record, and too short a horizon.
@@ -154,8 +171,7 @@ class Grounds:
 
     def keep_inputs(self) -> None:
         """Write what a resumed run reads."""
-        files = {CHANGER_FILE: Path(self.config.changer)}
-        self.scenario = keep_inputs(self.output, self.config, self.scenario, files)
+        self.scenario = keep_inputs(self.output, self.config, self.scenario, self.files)
 
     def seed(self, phase: int) -> int:
         """Seed torch for the phase, whatever was drawn before it; also the seed of its traffic."""

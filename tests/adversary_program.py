@@ -8,7 +8,7 @@ import torch
 from programs import BUSY
 
 from marl_lanes import load_scenario
-from marl_lanes.training.checkpoint import make_network, save_checkpoint
+from marl_lanes.training.checkpoint import make_actor_network, make_network, save_checkpoint
 
 FOLDER = Path(__file__).parents[1] / "agents" / "adversary"
 SECTION = [
@@ -48,10 +48,11 @@ PHASE_FILES = {
 
 
 def prepare(folder):
-    """A scenario, and a changer that finds its lane without training."""
+    """A scenario, a changer that finds its lane without training, and one of another form."""
     (folder / "busy.yaml").write_text(BUSY, encoding="utf-8")
     torch.manual_seed(0)
     save_checkpoint(folder / "changer.pt", make_network(PAPER, "damped", [8]), "busy", 0)
+    save_checkpoint(folder / "actor.pt", make_actor_network(PAPER, [8]), "busy", 0)
     return folder
 
 

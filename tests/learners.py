@@ -19,6 +19,7 @@ from marl_lanes.training.algorithms.ppo import PPO, PPOConfig
 from marl_lanes.training.algorithms.sac import SAC, SACConfig
 from marl_lanes.training.algorithms.td3 import TD3, TD3Config
 from marl_lanes.training.checkpoint import make_actor_network, make_network
+from marl_lanes.training.collectors import LocalCollector
 from marl_lanes.training.command_line import compose_fields
 from marl_lanes.training.config import EVALUATED, EvaluationConfig, read_config, validate
 from marl_lanes.training.learner import Learner
@@ -63,11 +64,20 @@ def tiny(*options, kind=TrainingConfig):
     return read_config(kind, compose_fields(kind, FOLDER, replaced([*TINY, *options])))
 
 
-def changers(*options, overrides=BUSY, mu="damped", seed=0, **places):
-    env = LaneChangeEnv("paper", 8, overrides=overrides, seed=seed)
+def changers(
+    *options,
+    overrides=BUSY,
+    mu="damped",
+    seed=0,
+    roads="cpu",
+    make_collector=LocalCollector,
+    **places,
+):
+    env = LaneChangeEnv("paper", 8, overrides=overrides, seed=seed, device=roads)
     torch.manual_seed(seed)
     config = tiny(*options)
-    return Learner(config, env, NAF(config, env, make_network(env.scenario, mu, [8]), **places))
+    algorithm = NAF(config, env, make_network(env.scenario, mu, [8]), **places)
+    return Learner(config, env, algorithm, make_collector=make_collector)
 
 
 def followers(*options, seed=0, **places):
@@ -194,9 +204,9 @@ def tables(folder):
     return {name: (folder / name).read_bytes() for name in names}
 
 
-def filled(folder, *options):
+def filled(folder, *options, **places):
     """A learner with transitions in its replay buffer."""
-    learner = changers(*options)
+    learner = changers(*options, **places)
     learner.begin(folder)
     generator = torch.Generator().manual_seed(3)
 

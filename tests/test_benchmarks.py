@@ -50,6 +50,25 @@ def run(name, *arguments):
     return names, names["main"]([str(argument) for argument in arguments])
 
 
+@pytest.mark.training
+def test_a_training_on_one_device(tmp_path, capsys):
+    """On the CPU: what is measured on a GPU is the same."""
+    file = tmp_path / "figures.json"
+    sizes = ("collector.num_envs=16", "collector.total_transitions=600", "replay.batch_size=16")
+    begin = ("replay.warmup_transitions=400", "optimizer.pretraining_transitions=500")
+    ends = ("evaluation.save_interval=300", "evaluation.num_maneuvers=2", "network.mu=cascade")
+    run("gpu_training", "device=cpu", *sizes, *begin, *ends, "--json", file)
+    figures = json.loads(file.read_text(encoding="utf-8"))
+    assert figures["training: transitions"] >= 600
+    assert 0.0 < figures["final model: success rate"] <= 1.0
+    # This structure drives well from the beginning.
+    assert figures["untrained: cost ratio"] < 1.1
+    (seconds,) = (value for name, value in figures.items() if name.startswith("seconds to"))
+    assert seconds == 0.0
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in figures)
+
+
 @pytest.mark.slow
 def test_halving_the_time_step_halves_the_error(tmp_path):
     file, figure = tmp_path / "figures.json", tmp_path / "figure.svg"

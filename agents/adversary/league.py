@@ -1,7 +1,8 @@
 """Changers and followers in a league: each generation learns against all that were before.
 
 python agents/adversary/league.py changer=CHECKPOINT [scenario=NAME] [generations=N]
-    [followers=[NAME,...]] [held_out=[NAME,...]] [seed=N] [output=DIR] [resume=RUN]
+    [followers=[NAME,...]] [held_out=[NAME,...]] [+guests.NAME=CHANGER[@SCENARIO] ...]
+    [seed=N] [output=DIR] [resume=RUN]
     [any field of the config]
 
 In each generation an untrained follower learns against the changers of the pool, then a changer
@@ -25,9 +26,11 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 from tqdm import tqdm
 
-from marl_lanes import load_scenario
+from marl_lanes import Scenario, load_scenario
+from marl_lanes.cli.policies import UNTRAINED, make_policy
 from marl_lanes.envs.followers import load_follower
 from marl_lanes.evaluation.crossplay import compose_result, describe_pair, drive_pairs
+from marl_lanes.evaluation.driving import Policy
 from marl_lanes.evaluation.figures import draw_crossplay
 from marl_lanes.evaluation.intervals import CONFIDENCE
 from marl_lanes.evaluation.rating import Match, Tally, rate, tally
@@ -49,8 +52,10 @@ from marl_lanes.interplay import (
 )
 from marl_lanes.naf.checkpoint import greedy_policy
 from marl_lanes.naf.network import NAFNetwork
+from marl_lanes.scenario import list_scenarios
 from marl_lanes.scenario.fields import Real
 from marl_lanes.scenario.followers import DispositionName
+from marl_lanes.scenario.messages import shown
 from marl_lanes.terminal import lenient_streams
 from marl_lanes.traffic.roles.external import FollowerPolicy, choose_policies
 from marl_lanes.training.checkpoint import load_checkpoint
@@ -63,6 +68,9 @@ from marl_lanes.training.run_folder import STATE_FILE, TIMES_FILE, check_empty, 
 FOLDER = Path(__file__).parent
 FIRST = "changer_0"
 """The given changer."""
+
+Changer = tuple[Scenario, Policy]
+"""Where it drives, and how."""
 
 
 class LeagueConfig(InterplayConfig):
@@ -77,6 +85,11 @@ class LeagueConfig(InterplayConfig):
     )
     held_out: Annotated[list[DispositionName], Field(max_length=32)] = Field(
         description="names of followers that are rated, and never learned against"
+    )
+    guests: Annotated[dict[DispositionName, str], Field(max_length=32)] = Field(
+        description="other changers, by name: a checkpoint of any algorithm, or the name of a "
+        "policy without learning, each with @SCENARIO if it drives on another shipped one; rated, "
+        "never learned against"
     )
     exponent: Real = Field(
         ge=0.0,
@@ -96,6 +109,9 @@ class LeagueConfig(InterplayConfig):
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"{name!r} must be once in followers and held_out together")
+        for name in self.guests:
+            if name in names or name.partition("_")[0] in ("changer", "follower"):
+                raise ValueError(f"guests: {name!r} must not be the name of another player")
         return self
 
 
@@ -128,16 +144,37 @@ class League:
 
     def __init__(self, config: LeagueConfig) -> None:
         self.config = config
-        self.grounds = Grounds(config, "adversarial")
+        sources = {name: given.partition("@")[0] for name, given in config.guests.items()}
+        files = {_copy(name): Path(what) for name, what in sources.items() if what not in UNTRAINED}
+        self.grounds = Grounds(config, "adversarial", files)
         self.grounds.check_learner("hardening", config.hardening)
         self.output = self.grounds.output
-        self.changers = {FIRST: self.grounds.load_first_changer(load_checkpoint)}
+        self.changers = {FIRST: self.grounds.load_changer(load=load_checkpoint)}
+        self.guests = {name: self._invite(name, what) for name, what in sources.items()}
         self.followers = list(config.followers)
         for name in (*config.followers, *config.held_out):
             alone = load_scenario(self.grounds.scenario, {"followers": _alone(name)})
             choose_policies(alone, None, has_learner=False)  # rejects one without a policy
         self.policies: dict[str, FollowerPolicy] = {}
         self.matches = Matches(self.grounds, config.hardening.evaluation)
+
+    def _invite(self, name: str, what: str) -> Changer:
+        """A guest, on its scenario."""
+        field, (_, _, place) = f"guests.{name}", self.config.guests[name].partition("@")
+        if place and place not in list_scenarios():
+            raise ConfigError(
+                f"{field} = {shown(self.config.guests[name])}: @SCENARIO must be a shipped one: "
+                f"{', '.join(list_scenarios())}"
+            )
+        scenario = load_scenario(place) if place else self.grounds.scenario
+        if check_episodes(scenario) != check_episodes(self.grounds.scenario):
+            raise ConfigError(
+                f"{field} = {shown(self.config.guests[name])}: num_agents of its scenario must be "
+                f"{self.grounds.scenario.num_agents}, as on that of the league"
+            )
+        if what in UNTRAINED:
+            return scenario, make_policy(what, scenario, self.config.seed)
+        return scenario, greedy_policy(self.grounds.load_changer(field, _copy(name), scenario))
 
     def play(self) -> list[dict[str, Any]] | None:
         """All generations, and the ratings; None when interrupted."""
@@ -150,12 +187,17 @@ class League:
                 raise
         for generation in range(1, self.config.generations + 1):
             for play in (self._add_follower, self._add_changer):
-                self.matches.hold(self.changers, self.followers, self.policies)
+                self.matches.hold(self._learners(), self.followers, self.policies)
                 if not play(generation):
                     return None
         everybody = [*self.followers, *self.config.held_out]
-        self.matches.hold(self.changers, everybody, self.policies)
+        self.matches.hold({**self._learners(), **self.guests}, everybody, self.policies)
         return self._report()
+
+    def _learners(self) -> dict[str, Changer]:
+        """The changers of the pool."""
+        scenario = self.grounds.scenario
+        return {name: (scenario, greedy_policy(one)) for name, one in self.changers.items()}
 
     def _add_follower(self, generation: int) -> bool:
         """A follower of its own against the frozen changers; False when interrupted."""
@@ -181,7 +223,7 @@ class League:
         won = [self.matches.shares(newest, follower)[0] for follower in self.followers]
         shares = prioritise(won, self.config.exponent).tolist()
         mix = dict(zip(self.followers, shares, strict=True))
-        path = self.grounds.first_changer if newest == FIRST else self._pooled(newest)
+        path = self.grounds.find_changer() if newest == FIRST else self._pooled(newest)
 
         def begin() -> NAFNetwork:
             network = load_checkpoint(path, self.grounds.scenario).network
@@ -226,7 +268,7 @@ class League:
             {
                 **asdict(rating),
                 "generation": self._generation(rating.player),
-                "is_held_out": rating.player in self.config.held_out,
+                "is_held_out": rating.player in (*self.config.held_out, *self.guests),
             }
             for rating in rate(self.matches.played, seed=seed)
         ]
@@ -238,7 +280,8 @@ class League:
         writer.writeheader()
         writer.writerows(rows)
         write_text(self.output / "ratings.csv", text.getvalue())
-        names = dict.fromkeys(self.changers, self.grounds.scenario.name)
+        everybody = {**self._learners(), **self.guests}
+        names = {name: scenario.name for name, (scenario, _) in everybody.items()}
         overrides = {name: _alone(name) for name in followers}
         result = compose_result(names, overrides, self.matches.pairs, number, seed)
         write_json(self.output / "crossplay.json", result)
@@ -247,8 +290,8 @@ class League:
         return rows
 
     def _generation(self, player: str) -> int | None:
-        """The generation of a trained player; of the given changer 0; of named followers None."""
-        is_named = player in (*self.config.followers, *self.config.held_out)
+        """The generation of a trained player; of the given changer 0; of all others None."""
+        is_named = player in (*self.config.followers, *self.config.held_out, *self.guests)
         return None if is_named else int(player.rpartition("_")[2])
 
 
@@ -296,24 +339,23 @@ class Matches:
 
     def hold(
         self,
-        changers: Mapping[str, NAFNetwork],
+        changers: Mapping[str, Changer],
         followers: Sequence[str],
         policies: Mapping[str, FollowerPolicy],
     ) -> None:
         """Drive every pair that has not met.
 
         Args:
-            changers: by name.
+            changers: by name, each on its scenario.
             followers: names.
             policies: of those that have learned, by name.
         """
         number, seed = self._settings.final_num_maneuvers, self._settings.seed
-        scenario = self._grounds.scenario
         due = [pair for pair in product(changers, followers) if pair not in self._held]
-        num_roads = ceil(number / check_episodes(scenario))
+        num_roads = ceil(number / check_episodes(self._grounds.scenario))
         for changer, follower in tqdm(due, unit="match", desc="matches"):
             (pair,) = drive_pairs(
-                {changer: (scenario, greedy_policy(changers[changer]))},
+                {changer: changers[changer]},
                 {follower: _alone(follower)},
                 number,
                 seed=seed,
@@ -324,6 +366,11 @@ class Matches:
                 "roads": tally(pair.maneuvers, pair.scenario, num_roads),
             }
             write_json(self._path, list(self._held.values()))
+
+
+def _copy(guest: str) -> str:
+    """File name of the run's copy of a guest's checkpoint."""
+    return f"guest_{guest}.pt"
 
 
 def _alone(name: str) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def read(arguments: Sequence[str] | None = None) -> AdversaryConfig:
 def prepare(config: AdversaryConfig) -> tuple[Grounds, PolicyNetwork]:
     """Scenarios and changer, checked; nothing is written."""
     grounds = Grounds(config, config.objective)
-    return grounds, grounds.load_first_changer()
+    return grounds, grounds.load_changer()
 
 
 def compare(config: AdversaryConfig, grounds: Grounds, changer: PolicyNetwork) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def compare(config: AdversaryConfig, grounds: Grounds, changer: PolicyNetwork) -
             seed=config.follower.evaluation.seed,
             progress=lambda count: bar.update(count - bar.n),
         )
-    checkpoints = {"changer": str(grounds.first_changer)}
+    checkpoints = {"changer": str(grounds.find_changer())}
     return {"objective": config.objective, "checkpoints": checkpoints, **result}
 
 

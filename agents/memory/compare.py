@@ -1,7 +1,7 @@
 """Does a lane changer gain from seeing more? NAF with memory, with a grid, and with neither.
 
 python agents/memory/compare.py [--scenario hidden] [--views plain stacked gru grid]
-    [--seeds 0 1 2] [--transitions 240000] [--processes 1] --output DIR
+    [--seeds 0 1 2] [--transitions 800000] [--processes 1] --output DIR
 
 plain is the scenario's own observation; stacked has the last 8 observations; gru reads these with a
 GRU; grid has an occupancy grid beside the features, read by a convolution. Each training is
@@ -39,11 +39,18 @@ VIEWS: Mapping[str, tuple[Mapping[str, Any], str]] = {
     "grid": ({"grid": {}}, "grid"),
 }
 """What is set in the scenario's observation, and the encoder."""
-STAGE_ONE = 0.5
+STAGE_ONE = 0.375
 """Of the transitions. After a shorter one the policy is lost as soon as mu learns."""
-TRANSITIONS_PER_UPDATE = 16.0
-"""Fewer than in the recipe, so that a short training has as many updates in stage one."""
-NUM_SAVED = 4
+SETTINGS: Mapping[str, Any] = {
+    "collector.num_envs": 256,
+    "replay.batch_size": 256,
+    "loss.num_steps": 8,
+    "exploration.probability": 0.3,
+    "optimizer.longitudinal_learning_rate": 0.0004,
+}
+"""Where it differs from the recipe: fewer roads, so that each is simulated long enough for changes
+to be missed; what happens late reaches the waiting states sooner; a faster second action."""
+NUM_SAVED = 8
 """Models, of which the best becomes the final one."""
 NUM_MANEUVERS = 200
 """In the evaluation of each of them."""
@@ -104,7 +111,7 @@ def make_run(view: str, seed: int, transitions: int, folder: Path) -> Run:
         "network.encoder": encoder,
         "seed": seed,
         "collector.total_transitions": transitions,
-        "optimizer.transitions_per_update": TRANSITIONS_PER_UPDATE,
+        **SETTINGS,
         "optimizer.pretraining_transitions": round(STAGE_ONE * transitions),
         "exploration.annealing_transitions": transitions,
         "evaluation.save_interval": max(1, transitions // NUM_SAVED),
@@ -190,7 +197,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="default: 0 1 2")
     parser.add_argument(
-        "--transitions", type=int, default=240_000, help="of each training (default: 240000)"
+        "--transitions", type=int, default=800_000, help="of each training (default: 800000)"
     )
     parser.add_argument("--processes", type=int, default=1, help="trainings at a time (default: 1)")
     parser.add_argument("--output", type=Path, required=True, help="folder of the comparison")

@@ -18,6 +18,7 @@ from time import perf_counter
 
 from marl_lanes.cli.arguments import Commands, add_command, add_json
 from marl_lanes.cli.outputs import check_outputs, show_result
+from marl_lanes.extras import MissingExtraError
 
 PACKAGE = "marl-lanes"
 
@@ -112,6 +113,8 @@ def _check_packages() -> Iterator[Finding]:
 
     extras = metadata(PACKAGE).get_all("Provides-Extra") or []
     missing: dict[str, list[str]] = {extra: [] for extra in extras}
+    narrower: list[tuple[str, Finding]] = []
+    always: set[str] = set()
     for requirement in map(Requirement, requires(PACKAGE) or ()):
         if requirement.name == PACKAGE:
             continue
@@ -132,7 +135,16 @@ def _check_packages() -> Iterator[Finding]:
             continue
         is_right = wanted.contains(found, prereleases=True)
         advice = None if is_right else f"must be {wanted}: {install}{wanted}'"
-        yield Finding(requirement.name, found, advice)
+        finding = Finding(requirement.name, found, advice)
+        if extra is not None and requirement.name in always:
+            # It matters only to whoever has the extra.
+            narrower.append((extra, finding))
+            continue
+        always.add(requirement.name)
+        yield finding
+    for extra, finding in narrower:
+        if not missing[extra] and finding.advice is not None:
+            yield finding
     for extra, names in missing.items():
         lacks = f"lacks {', '.join(names)}: pip install '{PACKAGE}[{extra}]' if you need it"
         yield Finding(f"extra {extra}", lacks if names else "is complete")
@@ -218,6 +230,7 @@ def _check_gpu() -> Iterator[Finding]:
     if torch.cuda.is_available():
         names = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
         yield Finding("gpu", f"{', '.join(names)}, CUDA {torch.version.cuda}")
+        yield _check_gpu_kernels()
     elif not Path("/dev/nvidiactl").exists():
         yield Finding("gpu", "none; trainings need none")
     elif torch.version.cuda is None:
@@ -225,6 +238,19 @@ def _check_gpu() -> Iterator[Finding]:
     else:
         advice = f"CUDA {torch.version.cuda} needs a newer driver; without it use device=cpu"
         yield Finding("gpu", "is there, but torch cannot use it", advice)
+
+
+def _check_gpu_kernels() -> Finding:
+    """Whether roads can be on the GPU, too."""
+    from marl_lanes.traffic.machine.graphics import find_gpu
+
+    try:
+        find_gpu(0)
+    except MissingExtraError as error:
+        return Finding("gpu kernels", f"not there; Simulator(device='cuda') needs them: {error}")
+    except ValueError as error:
+        return Finding("gpu kernels", str(error), "until then use device=cpu for the roads")
+    return Finding("gpu kernels", f"numba-cuda {version('numba-cuda')}")
 
 
 def _check_pictures() -> Iterator[Finding]:

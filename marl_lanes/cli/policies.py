@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 UNTRAINED = (
     "tuned-cascade",
+    "assertive-cascade",
     "quintic",
     "mpc",
     "cascade-prior",
@@ -55,6 +56,8 @@ def make_policy(name: str, scenario: Scenario, seed: int) -> Any:
         return policies.make_lane_keeping_policy(scenario)
     if name == "tuned-cascade":
         return policies.make_tuned_cascade_policy(scenario)
+    if name == "assertive-cascade":
+        return policies.make_assertive_cascade_policy(scenario)
     if name == "quintic":
         return policies.make_quintic_policy(scenario)
     if name == "mpc":

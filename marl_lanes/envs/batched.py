@@ -1,10 +1,8 @@
 """The TorchRL environment: E roads that advance together, their agents in reusable slots."""
 
-import os
 import sys
-import time
-from collections.abc import Callable, Mapping
-from functools import cache, wraps
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +10,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from marl_lanes.envs.closing import Closes
 from marl_lanes.envs.followers import find_policies
+from marl_lanes.envs.gpu_exchange import Exchange, check_device
 from marl_lanes.envs.tensordict_internals import make_tensordict
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables
+from marl_lanes.envs.timing import timed
+from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables, state_bounds
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
@@ -38,32 +39,8 @@ _CPU = torch.device("cpu")
 _BYTES_OF_SLOT = 32
 """Of an agent's masks, ends, rewards and outcome."""
 
-_PROCESS = os.getpid()
-"""The process that imported this module: another one was forked from it."""
 
-
-@cache
-def _prepare_torch(process: int) -> None:
-    """In a forked process torch's threads are gone: it would wait for them for ever."""
-    if process != _PROCESS:
-        torch.set_num_threads(1)
-
-
-def _timed(method: Callable[..., TensorDict]) -> Callable[..., TensorDict]:
-    """Add the wall time of each call to the environment's ``seconds``; works after a fork."""
-
-    @wraps(method)
-    def timed(self: Any, *args: Any, **kwargs: Any) -> TensorDict:
-        _prepare_torch(os.getpid())
-        start = time.perf_counter()
-        result = method(self, *args, **kwargs)
-        self.seconds += time.perf_counter() - start
-        return result
-
-    return timed
-
-
-class LaneChangeEnv(EnvBase):
+class LaneChangeEnv(Closes, EnvBase):
     """Lane changes on E roads as a TorchRL environment with batch size [E].
 
     The group ``changers`` has A = ``num_slots`` slots; a command occupies a slot until it ends:
@@ -98,13 +75,21 @@ class LaneChangeEnv(EnvBase):
     and actions, road 0 has the same trajectory as the PettingZoo environment, whose ``reset`` skips
     the episodes that end before the first command; here they are driven, with an empty ``mask``.
 
+    With ``device="cuda"`` a step does not wait for the GPU, and its tensors are new ones. Its
+    kernels are on torch's present stream, also while a CUDA graph is captured. A non-finite action
+    of an acting agent stops the roads before that step; the error comes from a later step, or from
+    the first call that waits, such as ``simulator.snapshot``. ``seconds`` leaves out what the GPU
+    does meanwhile. Policies of followers, ``render`` and a reset with a mask in the computer's
+    memory copy and wait.
+
     Use it from one thread at a time. ``make`` functions without a seed make environments that
     differ, also in workers; a copy (pickle, deepcopy) goes on with the same random numbers.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
         num_envs: E, >= 1.
-        device: where the tensors are; the traffic stays on the CPU.
+        device: where the traffic and the tensors are: ``cpu``, or ``cuda[:N]`` for a GPU. With
+            another device, and after ``to``, only the tensors are there.
         seed: of the random numbers, 0 to 2^64 - 1. None: drawn from the system's entropy, as by
             ``set_seed(None)``.
         num_threads: as for ``Simulator``.
@@ -127,7 +112,8 @@ class LaneChangeEnv(EnvBase):
     Raises:
         ScenarioError: the scenario is invalid, or a follower of its mix has no policy.
         CheckpointError: the checkpoint of the learned follower cannot be used.
-        MissingExtraError: render_mode needs the extra ``view``, which is not installed.
+        MissingExtraError: render_mode needs the extra ``view``, or device the extra ``gpu``, which
+            is not installed.
         ValueError: another argument has a wrong type, is out of range, or needs more memory than
             there is.
     """
@@ -152,13 +138,16 @@ class LaneChangeEnv(EnvBase):
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {shown(render_mode)}: must be None or 'rgb_array'")
-        chosen_device = None if device is None else _check_device(device)
+        chosen_device = None if device is None else check_device(device)
+        is_there = chosen_device is not None and chosen_device.type == "cuda"
         loaded = load_scenario(scenario, overrides)
         learned_followers = check_flag("learned_followers", learned_followers)
         num_envs = check_whole("num_envs", num_envs, 1, sys.maxsize)
         self.has_state = check_flag("has_state", has_state)
-        size = _bytes_of_road(loaded, learned_followers) + self.has_state * bytes_of_state(loaded)
-        check_memory("num_envs", num_envs, num_envs * size)
+        if not is_there:
+            size = _bytes_of_road(loaded, learned_followers)
+            size += self.has_state * bytes_of_state(loaded)
+            check_memory("num_envs", num_envs, num_envs * size)
         self.simulator = Simulator(
             loaded,
             num_envs,
@@ -169,10 +158,16 @@ class LaneChangeEnv(EnvBase):
                 loaded, follower_policies, has_learner=learned_followers
             ),
             first_road=first_road,
+            device=chosen_device if is_there else "cpu",
         )
         super().__init__(device=chosen_device, batch_size=torch.Size([num_envs]))
         self.scenario = self.simulator.scenario
         self.roles = self.simulator.roles
+        self._exchange = (
+            Exchange(self.simulator, chosen_device, self.roles, self.has_state)
+            if chosen_device is not None and is_there
+            else None
+        )
         self.group_map = {
             role.group: [f"{role.name}_{slot}" for slot in range(self.simulator.num_slots)]
             for role in self.roles
@@ -236,12 +231,13 @@ class LaneChangeEnv(EnvBase):
     def _make_specs(self) -> None:
         num_envs, num_slots = self.simulator.num_envs, self.simulator.num_slots
         group = (num_envs, num_slots)
-        flag = Binary(1, shape=(*group, 1), dtype=torch.bool, device=_CPU)
-        mask = Binary(num_slots, shape=group, dtype=torch.bool, device=_CPU)
+        # Of two categories, as in TorchRL's PettingZooWrapper: a Binary cannot lose a dimension.
+        flag = Categorical(2, shape=(*group, 1), dtype=torch.bool, device=_CPU)
+        mask = Categorical(2, shape=group, dtype=torch.bool, device=_CPU)
         total = Unbounded((*group, 1), dtype=torch.float32, device=_CPU)
         seen: dict[str, dict[str, Any]] = {
             role.group: {
-                "observation": self._bounded(role.observation_bounds(self.scenario)),
+                "observation": _bounded(role.observation_bounds(self.scenario), group),
                 "mask": mask.clone(),
                 "acting": mask.clone(),
                 "command_reward": total.clone(),
@@ -253,20 +249,21 @@ class LaneChangeEnv(EnvBase):
             "aborting": mask.clone(),
             "outcome": Bounded(0, max(Outcome), group, dtype=torch.int64, device=_CPU),
         }
-        self.observation_spec = self._grouped(seen)
+        observed = self._grouped(seen)
         if self.has_state:
-            shape = (num_envs, self.scenario.max_vehicles, len(STATE_COLUMNS))
-            self.observation_spec["state"] = Unbounded(shape, dtype=torch.float32, device=_CPU)
+            observed["state"] = _bounded(state_bounds(self.scenario, num_slots), (num_envs,))
+        # With all its leaves: it is moved to the device here.
+        self.observation_spec = observed
         self.action_spec = self._grouped(
             {
-                role.group: {"action": self._bounded(role.action_bounds(self.scenario))}
+                role.group: {"action": _bounded(role.action_bounds(self.scenario), group)}
                 for role in self.roles
             }
         )
         self.reward_spec = self._grouped(
             {role.group: {"reward": total.clone()} for role in self.roles}
         )
-        done = Binary(1, shape=(num_envs, 1), dtype=torch.bool, device=_CPU)
+        done = Categorical(2, shape=(num_envs, 1), dtype=torch.bool, device=_CPU)
         self.done_spec = Composite(
             {
                 **{
@@ -280,35 +277,50 @@ class LaneChangeEnv(EnvBase):
         if self.device is not None:
             self.to(self.device)
 
-    def _bounded(self, bounds: Bounds) -> Bounded:
-        """The spec of (E, A, n) with two vectors (n,) as bounds."""
-        shape = (self.simulator.num_envs, self.simulator.num_slots, len(bounds[0]))
-        low, high = (torch.from_numpy(bound).expand(shape) for bound in bounds)
-        return Bounded(low, high, shape, dtype=torch.float32, device=_CPU)
-
     def _grouped(self, groups: Mapping[str, Mapping[str, Any]]) -> Composite:
         shape = (self.simulator.num_envs, self.simulator.num_slots)
         inner = {name: Composite(dict(leaves), shape=shape) for name, leaves in groups.items()}
         return Composite(inner, shape=shape[:1])
 
-    @_timed
+    @timed
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         mask = None
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118
-            mask = tensordict["_reset"].reshape(self.simulator.num_envs).cpu().numpy()
-        if mask is not None or not self._is_restored:
-            self.simulator.reset(mask)
-            for road, renderer in self._renderers.items():
-                if mask is None or mask[road]:
-                    renderer.restart()
+            mask = tensordict["_reset"].reshape(self.simulator.num_envs)
+            if self._exchange is None or mask.device != self._exchange.device:
+                mask = mask.cpu().numpy()
+        with self._streamed():
+            if mask is not None or not self._is_restored:
+                self.simulator.reset(mask)
+                for road, renderer in self._renderers.items():
+                    if mask is None or mask[road]:
+                        renderer.restart()
+            if self._exchange is not None:
+                return self._exchange.read(self.device, is_start=True)
         groups = self._read_out()
         for columns in groups.values():
             for key in ("reward", *_ENDS):
                 del columns[key]
         return self._make_tensordict(groups, **self._read_state())
 
-    @_timed
+    def _step_there(self, exchange: Exchange, tensordict: TensorDictBase) -> TensorDict:
+        """The step of roads on a GPU, which nothing waits for."""
+        with exchange.stream():
+            exchange.put(tensordict)
+            for renderer in self._renderers.values():
+                renderer.note()
+            self.simulator.advance()
+            self._is_restored = False
+            return exchange.read(self.device)
+
+    def _streamed(self) -> AbstractContextManager[None]:
+        """Work on a GPU is on torch's present stream there."""
+        return nullcontext() if self._exchange is None else self._exchange.stream()
+
+    @timed
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        if self._exchange is not None:
+            return self._step_there(self._exchange, tensordict)
         simulator = self.simulator
         actions = [_read_actions(tensordict, role.group) for role in self.roles]
         for renderer in self._renderers.values():
@@ -356,7 +368,7 @@ class LaneChangeEnv(EnvBase):
     def _make_tensordict(
         self, groups: Mapping[str, Mapping[str, NDArray[Any]]], **root: NDArray[Any]
     ) -> TensorDict:
-        shape = torch.Size(self.simulator.agents.shape)
+        shape = torch.Size((self.simulator.num_envs, self.simulator.num_slots))
         device = self.device
         is_elsewhere = device is not None and device.type != "cpu"
         near = _CPU if is_elsewhere else device
@@ -372,20 +384,15 @@ class LaneChangeEnv(EnvBase):
         return tensordict.to(device) if is_elsewhere else tensordict
 
     def _set_seed(self, seed: int | None) -> None:
-        self.simulator.seed(seed)
+        with self._streamed():
+            self.simulator.seed(seed)
 
 
-def _check_device(device: torch.device | str) -> torch.device:
-    """The device, if tensors can be moved to it."""
-    try:
-        chosen = torch.device(device)
-        torch.zeros(1, device=_CPU).to(chosen).cpu()
-    except (AssertionError, RuntimeError, TypeError) as error:
-        reason = str(error).partition("\n")[0]
-        raise ValueError(
-            f"device = {shown(device)}: must be cpu, or a device that is here: {reason}"
-        ) from None
-    return chosen
+def _bounded(bounds: Bounds, batch: tuple[int, ...]) -> Bounded:
+    """The spec of (*batch, *shape) with two arrays of the shape as bounds."""
+    shape = (*batch, *bounds[0].shape)
+    low, high = (torch.tensor(bound).expand(shape) for bound in bounds)
+    return Bounded(low, high, shape, dtype=torch.float32, device=_CPU)
 
 
 def _bytes_of_road(scenario: Scenario, has_followers: bool) -> int:

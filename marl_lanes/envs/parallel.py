@@ -1,22 +1,26 @@
 """The PettingZoo environment: one road, one agent per commanded vehicle."""
 
-import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import logger
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
-from pettingzoo import AECEnv, ParallelEnv
-from pettingzoo.utils.conversions import parallel_to_aec
+from pettingzoo import ParallelEnv
 
+from marl_lanes.envs.actions import check_actions, read_action
+from marl_lanes.envs.closing import Closes
+from marl_lanes.envs.episodes import check_spaces, count_agents
 from marl_lanes.envs.followers import find_policies
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_table
+from marl_lanes.envs.infos import FIELDS, Step, info_names
+from marl_lanes.envs.options import read_options
+from marl_lanes.envs.vehicle_table import read_vehicle_table, state_bounds
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.scenario.messages import shown
-from marl_lanes.traffic.arguments import check_flag, read_numbers
+from marl_lanes.traffic.arguments import check_flag, check_whole
 from marl_lanes.traffic.machine.state import Outcome, Phase, truncates
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
@@ -28,13 +32,6 @@ if TYPE_CHECKING:
 
 _TRUNCATING = {int(outcome) for outcome in Outcome if truncates(outcome)}
 
-_FIELDS = ("phase", "outcome", "num_aborts")
-_INFO = {
-    CHANGER.name: (*_FIELDS, *CHANGER.reward_names),
-    FOLLOWER.name: ("phase", "is_paired", *FOLLOWER.reward_names),
-}
-"""Keys of an agent's info."""
-
 _ABSENT = int(Phase.ABSENT)
 _UNFINISHED = int(Outcome.UNFINISHED)
 
@@ -43,27 +40,7 @@ MAX_SKIPPED = 1000
 """Episodes without a command that a reset skips before it gives up."""
 
 
-class Options(TypedDict, total=False):
-    """The keyword arguments of ``LaneChangeParallelEnv``, which documents them."""
-
-    seed: int | None
-    fixed_agents: bool
-    overrides: Mapping[str, Any] | None
-    learned_followers: bool
-    follower_policies: Mapping[str, FollowerPolicy] | None
-    view: "View"
-
-
-Step = tuple[
-    dict[str, NDArray[np.float32]],
-    dict[str, float],
-    dict[str, bool],
-    dict[str, bool],
-    dict[str, dict[str, float]],
-]
-
-
-class LaneChangeParallelEnv(ParallelEnv):
+class LaneChangeParallelEnv(Closes, ParallelEnv):
     """Lane changes as a PettingZoo parallel environment.
 
     An episode ends when the ``num_agents`` commands of the scenario are finished, or at its
@@ -90,17 +67,18 @@ class LaneChangeParallelEnv(ParallelEnv):
             the road in a window, at ``render_fps``, also the time in which no agent is live.
         seed: of the random numbers, 0 to 2^64 - 1, until ``reset(seed=...)`` sets another; a reset
             without a seed continues the stream. None: drawn from the system's entropy.
-        fixed_agents: every dict contains all possible agents, absent ones with zeros, as TorchRL's
-            PettingZooWrapper needs it; ``agents`` still lists only the live ones.
         overrides: scenario fields to replace, as in ``load_scenario``.
         learned_followers: followers are agents, too: the drivers with the disposition ``learned``,
             or all drivers if the mix has no ``learned``.
         follower_policies: policies by their name in ``followers.mix``; they have priority over
             registered ones.
+        max_cycles: steps after which an episode is truncated, >= 1; None: it has no such limit.
+        has_flat_state: ``state`` is a vector, row by row.
         view: how the road is shown, ``ViewOptions`` or a mapping of its fields; not used where
             render_mode is None.
 
     Attributes:
+        state_space: of ``state``.
         metadata: PettingZoo's; ``render_fps`` is the number of time steps in a second.
 
     Raises:
@@ -124,39 +102,34 @@ class LaneChangeParallelEnv(ParallelEnv):
         render_mode: str | None = None,
         *,
         seed: int | None = None,
-        fixed_agents: bool = False,
         overrides: Mapping[str, Any] | None = None,
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
+        max_cycles: int | None = None,
+        has_flat_state: bool = False,
         view: "View" = None,
     ) -> None:
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             raise ValueError(f"render_mode = {shown(render_mode)}: must be None or one of {modes}")
-        loaded = load_scenario(scenario, overrides)
-        self.simulator = Simulator(
-            loaded,
-            seed=seed,
-            num_threads=1,
-            learned_followers=learned_followers,
-            follower_policies=find_policies(
-                loaded, follower_policies, has_learner=learned_followers
-            ),
-        )
+        if max_cycles is not None:
+            max_cycles = check_whole("max_cycles", max_cycles, 1, sys.maxsize)
+        self._max_cycles, self._num_cycles = max_cycles, 0
+        self._has_flat_state = check_flag("has_flat_state", has_flat_state)
+        self._learned_followers, self._policies = learned_followers, follower_policies
+        self._loaded, self._is_seeded = load_scenario(scenario, overrides), seed is not None
+        self._changes: Mapping[str, Any] = {}
+        self._np_random: np.random.Generator | None = None
+        self.simulator = self._make_simulator(self._loaded, seed)
         self.scenario = self.simulator.scenario
-        if self.scenario.num_agents is None or self.scenario.command.probability == 0.0:
-            raise ScenarioError(
-                f"scenario {self.scenario.name!r}: an episode needs num_agents (is "
-                f"{self.scenario.num_agents}) and command.probability > 0 (is "
-                f"{self.scenario.command.probability})"
-            )
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": 1.0 / self.scenario.time_step}
-        self._renderer = self._make_renderer(view)
-        self.fixed_agents = check_flag("fixed_agents", fixed_agents)
+        self._chosen_view = view
+        self._renderer = self._make_renderer()
         self.agents: list[str] = []
+        num_agents = count_agents(self.scenario)
         self._names = {
-            role.name: [f"{role.name}_{k}" for k in range(self.scenario.num_agents)]
+            role.name: [f"{role.name}_{k}" for k in range(num_agents)]
             for role in self.simulator.roles
         }
         self._role_of = {
@@ -169,11 +142,41 @@ class LaneChangeParallelEnv(ParallelEnv):
         for agent, role in self._role_of.items():
             self.observation_spaces[agent] = Box(*role.observation_bounds(self.scenario))
             self.action_spaces[agent] = Box(*role.action_bounds(self.scenario))
-        shape = (self.scenario.max_vehicles, len(STATE_COLUMNS))
-        self.state_space = Box(-np.inf, np.inf, shape, np.float32)
+        low, high = state_bounds(self.scenario, num_agents)
+        if self._has_flat_state:
+            low, high = low.ravel(), high.ravel()
+        self.state_space = Box(low, high)
         self._slots: dict[str, int] = {}
-        self._finished: set[str] = set()
         self._view()
+
+    def _make_simulator(self, scenario: Scenario, seed: int | None) -> Simulator:
+        policies = find_policies(scenario, self._policies, has_learner=self._learned_followers)
+        return Simulator(
+            scenario,
+            seed=seed,
+            num_threads=1,
+            learned_followers=self._learned_followers,
+            follower_policies=policies,
+        )
+
+    def _change_traffic(self, changes: Mapping[str, Any]) -> None:
+        """Go on with another simulator, whose random numbers are those of the last one.
+
+        Raises:
+            ScenarioError: the changes are not valid, or concern what learners are built for.
+        """
+        if changes == self._changes:
+            return
+        changed = load_scenario(self._loaded, changes)
+        check_spaces(changed, self._loaded, self.simulator.roles)
+        last, self.simulator = self.simulator, self._make_simulator(changed, 0)
+        for name in ("random_key", "random_stream", "random_counter"):
+            self.simulator.roads[name] = last.roads[name]
+        self.scenario, self._changes = self.simulator.scenario, dict(changes)
+        self._view()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = self._make_renderer()
 
     def _view(self) -> None:
         """Keep views of the road's arrays: making them at every step would be slow."""
@@ -182,26 +185,43 @@ class LaneChangeParallelEnv(ParallelEnv):
         self._seen, self._is_done = state.observations[0], state.roads["is_done"]
         self._phases, self._outcomes = table["phase"], table["outcome"]
         self._commands, self._rewards = table["command"], table["reward"]
-        self._told = [table[name] for name in _FIELDS]
+        self._told = [table[name] for name in FIELDS]
         self._told += [table["terms"][:, index] for index in range(len(CHANGER.terms))]
 
-    def _make_renderer(self, view: "View") -> "Renderer | None":
+    def _make_renderer(self) -> "Renderer | None":
         if self.render_mode is None:
             return None
         # Imported here, because an environment that shows nothing needs none of it.
         from marl_lanes.envs.rendering import Renderer
 
-        return Renderer(self.simulator, 0, view, has_window=self.render_mode == "human")
+        has_window = self.render_mode == "human"
+        return Renderer(self.simulator, 0, self._chosen_view, has_window=has_window)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # The views of a copy must belong to its own road.
         self.__dict__.update(state)
         self._view()
+        if not self._is_seeded:
+            # Vector environments copy one that has not been used: their traffic must differ.
+            self.simulator.seed()
 
     @property
     def initial_seed(self) -> int:
         """The seed with which the present random numbers began, given or drawn."""
         return self.simulator.initial_seed
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """A generator with the same seed, for wrappers; the traffic has its own random numbers."""
+        if self._np_random is None:
+            self._np_random = np.random.default_rng(self.initial_seed)
+        return self._np_random
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the episode has ended before all its commands: by its horizon or max_cycles."""
+        road = self.simulator.roads[0]
+        return not self.agents and bool(road["is_cut"] or not road["is_done"])
 
     def observation_space(self, agent: str) -> Box:
         """The same space object at every call."""
@@ -214,26 +234,34 @@ class LaneChangeParallelEnv(ParallelEnv):
     def reset(
         self,
         seed: int | None = None,
-        options: Mapping[str, Any] | None = None,  # noqa: ARG002 - PettingZoo passes it
+        options: Mapping[str, Any] | None = None,
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, float]]]:
         """Start an episode: warm up the traffic and advance to the first command.
 
         Args:
             seed: 0 to 2^64 - 1; None continues the stream of the last seed.
-            options: not used.
+            options: ``overrides``: scenario fields to replace in this episode, as in
+                ``load_scenario``; observation, action, num_agents, max_vehicles and time_step must
+                stay. ``snapshot``: begin in this state, of ``simulator.snapshot()``, in which an
+                agent is live. Unknown ones are refused.
 
         Raises:
             DisplayError: render_mode is "human", and there is no display.
-            ScenarioError: MAX_SKIPPED episodes in a row ended before the first command.
-            ValueError: the seed is out of range.
+            ScenarioError: MAX_SKIPPED episodes in a row ended before the first command, or the
+                overrides are not valid.
+            ValueError: the seed is out of range, or the options are not valid.
         """
-        if self._renderer is not None:
-            self._renderer.open()
+        chosen = read_options(options)
         if seed is not None:
             self.simulator.seed(seed)
-        self._begin()
-        self._finished.clear()
-        result = self._absent()
+            self._np_random = None
+        self._is_seeded = True
+        self._change_traffic(chosen.overrides or {})
+        if self._renderer is not None:
+            self._renderer.open()
+        self._num_cycles = 0
+        self._begin(chosen.snapshot)
+        result: Step = ({}, {}, {}, {}, {})
         self._collect(result)
         if self._renderer is not None:
             self._renderer.show()
@@ -243,16 +271,15 @@ class LaneChangeParallelEnv(ParallelEnv):
         """Advance one time step, and further until an agent is live or the episode is over.
 
         Args:
-            actions: for every live agent, (D,) for a changer, (1,) for a follower; actions of
-                other agents are ignored.
+            actions: for every live agent, D numbers for a changer, one for a follower, in any
+                shape; actions of other agents are ignored.
 
         Raises:
-            ValueError: the action of a live agent is missing, not finite, or has a wrong shape.
+            ValueError: the action of a live agent is missing, not finite, or has a wrong size.
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
-        if not isinstance(actions, Mapping):
-            raise ValueError(f"actions = {shown(actions)}: must be a mapping of agents to actions")
+        check_actions(actions)
         values = [self._read_action(agent, actions) for agent in self.agents]
         simulator = self.simulator
         for agent, value in zip(self.agents, values, strict=True):
@@ -262,16 +289,16 @@ class LaneChangeParallelEnv(ParallelEnv):
         if self._renderer is not None:
             self._renderer.note()
         simulator.advance()
-        result = self._absent()
+        result: Step = ({}, {}, {}, {}, {})
         self._collect(result)
         if not self.agents and not self._is_done[0]:
             # The agents that have just ended stay in the dicts; new ones are added.
             self._advance_until_live()
             self._collect(result)
-        if self.fixed_agents and not self.agents:
-            # At the horizon, the agents whose commands were never given are truncated, too.
-            unborn = [name for name in self.possible_agents if name not in self._finished]
-            result[3].update(dict.fromkeys(unborn, True))
+        self._num_cycles += 1
+        if self._num_cycles == self._max_cycles:
+            result[3].update(dict.fromkeys(self.agents, True))
+            self.agents = []
         if self._renderer is not None:
             self._renderer.show()
         return result
@@ -297,18 +324,28 @@ class LaneChangeParallelEnv(ParallelEnv):
     def state(self) -> NDArray[np.float32]:
         """Every vehicle on the road by decreasing position, (max_vehicles, columns) float32.
 
-        The columns are STATE_COLUMNS; rows without a vehicle are zero, with agent -1.
+        The columns are STATE_COLUMNS, clipped to the bounds of ``state_space``; rows without a
+        vehicle are zero, with agent -1. With ``has_flat_state`` (max_vehicles * columns,).
         """
-        return read_vehicle_table(self.simulator)
+        rows = read_vehicle_table(self.simulator)
+        return rows.ravel() if self._has_flat_state else rows
 
     def close(self) -> None:
         """Close the window for good; the environment can be used on, unshown."""
         if self._renderer is not None:
             self._renderer.close()
 
-    def _begin(self) -> None:
-        """Reset the road until an agent is live."""
+    def _begin(self, snapshot: bytes | None) -> None:
+        """Reset the road until an agent is live, or continue from a snapshot."""
         self.agents = []
+        if snapshot is not None:
+            self.simulator.restore(snapshot)
+            if self._renderer is not None:
+                self._renderer.restart()
+            self._advance_until_live()
+            if not self.simulator.roads["num_live"][0]:
+                raise ValueError("options['snapshot']: an agent must become live, none does")
+            return
         for _ in range(MAX_SKIPPED):
             self.simulator.reset()
             if self._renderer is not None:
@@ -331,18 +368,14 @@ class LaneChangeParallelEnv(ParallelEnv):
                 self.simulator.advance()
         self.simulator.advance_until_live()
 
-    def _read_action(self, agent: str, actions: Mapping[str, Any]) -> list[float]:
+    def _read_action(self, agent: str, actions: Mapping[str, Any]) -> NDArray[np.floating[Any]]:
         try:
             action = actions[agent]
         except KeyError:
             raise ValueError(
                 f"actions: {agent} is live and has no action; live agents: {self.agents}"
             ) from None
-        name = f"actions[{agent!r}]"
-        values: list[float] = read_numbers(name, action, self.action_spaces[agent].shape).tolist()
-        if not all(map(math.isfinite, values)):
-            raise ValueError(f"{name} = {values}: must be finite [rad/s^2, m/s^2]")
-        return values
+        return read_action(agent, action, self.action_spaces[agent].shape[0])
 
     def _collect(self, result: Step) -> None:
         """Write the values of the live agents and of those that have just ended to the dicts."""
@@ -361,15 +394,13 @@ class LaneChangeParallelEnv(ParallelEnv):
             observations[name] = self._seen[slot].copy()
             rewards[name] = self._rewards.item(slot)
             values = [float(column.item(slot)) for column in self._told]
-            infos[name] = dict(zip(_INFO[CHANGER.name], values, strict=True))
+            infos[name] = dict(zip(info_names(name), values, strict=True))
             both = [name]
             if FOLLOWER.name in self._names:
                 follower = self._names[FOLLOWER.name][command]
                 both.append(follower)
                 self._collect_follower(slot, name, follower, result)
-            if is_over:
-                self._finished.update(both)
-            else:
+            if not is_over:
                 self.agents += both
                 self._slots.update(dict.fromkeys(both, slot))
         self.agents.sort(key=self._rank.__getitem__)
@@ -386,34 +417,3 @@ class LaneChangeParallelEnv(ParallelEnv):
             "is_paired": float(self.simulator.is_follower_acting[0, slot]),
             **dict(zip(FOLLOWER.reward_names, record["terms"].tolist(), strict=True)),
         }
-
-    def _absent(self) -> Step:
-        """The dicts before any live agent is added: empty, or zeros for all possible agents."""
-        if not self.fixed_agents:
-            return {}, {}, {}, {}, {}
-        names = self.possible_agents
-        return (
-            {name: np.zeros(self.observation_spaces[name].shape, np.float32) for name in names},
-            dict.fromkeys(names, 0.0),
-            {name: name in self._finished for name in names},
-            dict.fromkeys(names, False),
-            {name: dict.fromkeys(_INFO[self._role_of[name].name], 0.0) for name in names},
-        )
-
-
-def parallel_env(
-    scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
-    render_mode: str | None = None,
-    **options: Unpack[Options],
-) -> LaneChangeParallelEnv:
-    """The parallel environment; arguments as for ``LaneChangeParallelEnv``."""
-    return LaneChangeParallelEnv(scenario, render_mode, **options)
-
-
-def env(
-    scenario: str | Path | Mapping[str, Any] | Scenario = "paper",
-    render_mode: str | None = None,
-    **options: Unpack[Options],
-) -> AECEnv:
-    """The same environment in PettingZoo's AEC (agent-environment-cycle) form."""
-    return parallel_to_aec(parallel_env(scenario, render_mode, **options))

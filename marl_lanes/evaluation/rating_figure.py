@@ -15,7 +15,7 @@ _LOOKS = {"changer": (BLUE, "-", "o"), "followers": (RED, "--", "s")}
 
 @styled
 def draw_ratings(paths: Sequence[Path], leagues: Sequence[Mapping[str, Any]]) -> None:
-    """Draw ratings over generations, and beside them those of the followers that have names.
+    """Draw ratings over generations, and beside them those of all players that have none.
 
     Args:
         paths: where the figure is written, in the format of each ending.
@@ -46,8 +46,8 @@ def draw_ratings(paths: Sequence[Path], leagues: Sequence[Mapping[str, Any]]) ->
     learned.set_ylabel("rating [points]")
     learned.xaxis.set_major_locator(MaxNLocator(integer=True))
     learned.legend()
-    named.set_title("Named followers; hollow: held out")
-    named.set_xticks(range(len(names)), names, rotation=20.0, ha="right")
+    named.set_title("Others; hollow: never learned against")
+    named.set_xticks(range(len(names)), names, rotation=35.0, ha="right")
     named.set_xlim(-0.5, len(names) - 0.5)
     first = leagues[0]
     figure.suptitle(

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
-from marl_lanes.evaluation.policies import make_mpc_policy
+from marl_lanes.evaluation.policies import make_assertive_cascade_policy, make_mpc_policy
 from marl_lanes.experiment import run, start
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.naf.encoder import make_encoder
@@ -24,6 +24,9 @@ from marl_lanes.training.command_line import Fields, describe_command, read_comm
 from marl_lanes.training.config import ConfigError, read_changers_config
 from marl_lanes.training.demonstrations import collect_demonstrations, imitate
 from marl_lanes.training.sizes import check_networks
+
+EXPERTS = {"mpc": make_mpc_policy, "assertive-cascade": make_assertive_cascade_policy}
+"""That demonstrate."""
 
 DESCRIPTION = """\
 Train the shared NAF policy of all lane changers, evaluate it, write its report.
@@ -104,10 +107,10 @@ def make_algorithm(
 
 
 def demonstrate(config: TrainingConfig, scenario: Scenario) -> tuple[Tensor, Tensor]:
-    """Transitions of the policy mpc: what it saw, and what it did."""
+    """Transitions of a policy without learning: what it saw, and what it did."""
     number = config.demonstrations.num_transitions
     try:
-        expert = make_mpc_policy(scenario)
+        expert = EXPERTS[config.demonstrations.policy](scenario)
     except ScenarioError as error:
         raise ConfigError(
             f"demonstrations.num_transitions = {number}: must be 0: {error}"

@@ -1,5 +1,6 @@
 """What callers give, checked: whole numbers, flags, functions, arrays; refused in one line."""
 
+import secrets
 import sys
 from collections.abc import Mapping
 from typing import Any
@@ -8,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_lanes.scenario.messages import shown
+
+_LAST_SEED = 2**64 - 1
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> int:
@@ -21,6 +24,17 @@ def check_whole(name: str, value: object, low: int, high: int) -> int:
         last = high if high < 2**32 else f"2^{high.bit_length()} - 1"
         raise ValueError(f"{name} = {shown(value)}: must be a whole number, {low} to {last}")
     return int(value)  # type: ignore[call-overload, no-any-return]
+
+
+def choose_seed(seed: int | None) -> int:
+    """The seed, or one of 63 bits from the system's entropy.
+
+    Raises:
+        ValueError: it is no whole number from 0 to 2^64 - 1.
+    """
+    if seed is not None:
+        return check_whole("seed", seed, 0, _LAST_SEED)
+    return secrets.randbits(63)
 
 
 def check_flag(name: str, value: object) -> bool:
@@ -89,6 +103,30 @@ def read_mask(name: str, given: object, shape: tuple[int, ...]) -> NDArray[np.bo
             f"{name} = {shown(given)}: must be True or False, is of type {array.dtype}"
         )
     return np.ascontiguousarray(array)
+
+
+def is_on_gpu(given: object) -> bool:
+    """Whether it is an array in the memory of a GPU."""
+    return hasattr(given, "__cuda_array_interface__")
+
+
+def check_form(name: str, given: Any, shape: tuple[int, ...], kinds: str) -> None:
+    """Refuse an array on a GPU of another shape or type.
+
+    Args:
+        name: for the message.
+        given: has ``__cuda_array_interface__``.
+        shape: that it must have.
+        kinds: the types that it may have, in numpy's characters.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    form = given.__cuda_array_interface__
+    if np.dtype(form["typestr"]).char not in kinds:
+        raise ValueError(f"{name} = {shown(given)}: must not be of type {form['typestr']}")
+    if tuple(form["shape"]) != shape:
+        raise ValueError(f"{name}: shape {tuple(form['shape'])}, must be {shape}")
 
 
 def _as_array(name: str, given: object, shape: tuple[int, ...]) -> NDArray[Any]:

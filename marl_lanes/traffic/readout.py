@@ -58,15 +58,7 @@ def read_changers(agents: Records, *, has_longitudinal: bool) -> Columns:
         int64, set in the step that ends a command; ``reward`` and ``command_reward``, (E, A, 1)
         float32; ``done``, ``terminated`` and ``truncated``, (E, A, 1) bool.
     """
-    flat = agents.shape
-    columns: Columns = {
-        "mask": np.empty(flat, np.bool_),
-        "steering": np.empty(flat, np.bool_),
-        "aborting": np.empty(flat, np.bool_),
-        "acting": np.empty(flat, np.bool_),
-        "outcome": np.empty(flat, np.int64),
-        **_common(flat),
-    }
+    columns = changer_columns(agents.shape)
     _changers_kernel()(agents, has_longitudinal, *columns.values())
     return columns
 
@@ -82,27 +74,48 @@ def read_followers(agents: Records, followers: Records, *, policy: int) -> Colum
     Returns:
         As ``read_changers``, without ``steering``, ``aborting`` and ``outcome``.
     """
-    flat = agents.shape
-    columns: Columns = {
-        "mask": np.empty(flat, np.bool_),
-        "acting": np.empty(flat, np.bool_),
-        **_common(flat),
-    }
+    columns = follower_columns(agents.shape)
     _followers_kernel()(agents, followers, policy, *columns.values())
     return columns
 
 
-def _common(flat: tuple[int, ...]) -> Columns:
+def changer_columns(flat: tuple[int, ...], empty: Callable[..., Any] = np.empty) -> Columns:
+    """Arrays for ``read_changers``, in the kernel's order.
+
+    Args:
+        flat: (E, A).
+        empty: makes an array of a shape and a dtype.
+    """
     return {
-        "reward": np.empty((*flat, 1), np.float32),
-        "command_reward": np.empty((*flat, 1), np.float32),
-        "done": np.empty((*flat, 1), np.bool_),
-        "terminated": np.empty((*flat, 1), np.bool_),
-        "truncated": np.empty((*flat, 1), np.bool_),
+        "mask": empty(flat, np.bool_),
+        "steering": empty(flat, np.bool_),
+        "aborting": empty(flat, np.bool_),
+        "acting": empty(flat, np.bool_),
+        "outcome": empty(flat, np.int64),
+        **_common(flat, empty),
     }
 
 
-_FLAG, _OUTCOME = np.empty((1, 1), np.bool_), np.empty((1, 1), np.int64)
+def follower_columns(flat: tuple[int, ...], empty: Callable[..., Any] = np.empty) -> Columns:
+    """Arrays for ``read_followers``; the arguments are those of ``changer_columns``."""
+    return {
+        "mask": empty(flat, np.bool_),
+        "acting": empty(flat, np.bool_),
+        **_common(flat, empty),
+    }
+
+
+def _common(flat: tuple[int, ...], empty: Callable[..., Any]) -> Columns:
+    return {
+        "reward": empty((*flat, 1), np.float32),
+        "command_reward": empty((*flat, 1), np.float32),
+        "done": empty((*flat, 1), np.bool_),
+        "terminated": empty((*flat, 1), np.bool_),
+        "truncated": empty((*flat, 1), np.bool_),
+    }
+
+
+_FLAG = np.empty((1, 1), np.bool_)
 
 
 @cache
@@ -114,14 +127,14 @@ def _masks_kernel() -> Callable[..., None]:
 @cache
 def _changers_kernel() -> Callable[..., None]:
     agents = np.empty((1, 1), CHANGER.dtype)
-    types = (*[_FLAG] * 4, _OUTCOME, *_common((1, 1)).values())
+    types = changer_columns((1, 1)).values()
     return entry_point(_read_changers, (agents, False, *types))
 
 
 @cache
 def _followers_kernel() -> Callable[..., None]:
     agents, followers = (np.empty((1, 1), role.dtype) for role in (CHANGER, FOLLOWER))
-    types = (_FLAG, _FLAG, *_common((1, 1)).values())
+    types = follower_columns((1, 1)).values()
     return entry_point(_read_followers, (agents, followers, 0, *types))
 
 
@@ -148,6 +161,59 @@ def _read_end(agent: Any, done: Any, terminated: Any, truncated: Any) -> None:
     truncated[0] = is_truncated
 
 
+@internal
+def read_changer(
+    env: int,
+    slot: int,
+    agents: Any,
+    has_longitudinal: bool,
+    mask: Any,
+    steering: Any,
+    aborting: Any,
+    acting: Any,
+    outcome: Any,
+    reward: Any,
+    command_reward: Any,
+    done: Any,
+    terminated: Any,
+    truncated: Any,
+) -> None:
+    """Set the elements of one slot in the columns of ``read_changers``."""
+    agent = agents[env, slot]
+    mask[env, slot] = is_live(agent)
+    steering[env, slot] = is_steering(agent)
+    aborting[env, slot] = is_aborting(agent)
+    acting[env, slot] = is_acting(agent, has_longitudinal)
+    outcome[env, slot] = agent.outcome
+    reward[env, slot, 0] = agent.reward
+    command_reward[env, slot, 0] = agent.episode_reward
+    _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])
+
+
+@internal
+def read_follower(
+    env: int,
+    slot: int,
+    agents: Any,
+    followers: Any,
+    policy: int,
+    mask: Any,
+    acting: Any,
+    reward: Any,
+    command_reward: Any,
+    done: Any,
+    terminated: Any,
+    truncated: Any,
+) -> None:
+    """Set the elements of one slot in the columns of ``read_followers``."""
+    agent, follower = agents[env, slot], followers[env, slot]
+    mask[env, slot] = is_live(agent)
+    acting[env, slot] = follower.policy == policy
+    reward[env, slot, 0] = follower.reward
+    command_reward[env, slot, 0] = follower.episode_reward
+    _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])
+
+
 @compiled
 def _read_changers(
     agents: Any,
@@ -165,15 +231,22 @@ def _read_changers(
 ) -> None:
     for env in range(agents.shape[0]):
         for slot in range(agents.shape[1]):
-            agent = agents[env, slot]
-            mask[env, slot] = is_live(agent)
-            steering[env, slot] = is_steering(agent)
-            aborting[env, slot] = is_aborting(agent)
-            acting[env, slot] = is_acting(agent, has_longitudinal)
-            outcome[env, slot] = agent.outcome
-            reward[env, slot, 0] = agent.reward
-            command_reward[env, slot, 0] = agent.episode_reward
-            _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])
+            read_changer(
+                env,
+                slot,
+                agents,
+                has_longitudinal,
+                mask,
+                steering,
+                aborting,
+                acting,
+                outcome,
+                reward,
+                command_reward,
+                done,
+                terminated,
+                truncated,
+            )
 
 
 @compiled
@@ -191,9 +264,17 @@ def _read_followers(
 ) -> None:
     for env in range(agents.shape[0]):
         for slot in range(agents.shape[1]):
-            agent, follower = agents[env, slot], followers[env, slot]
-            mask[env, slot] = is_live(agent)
-            acting[env, slot] = follower.policy == policy
-            reward[env, slot, 0] = follower.reward
-            command_reward[env, slot, 0] = follower.episode_reward
-            _read_end(agent, done[env, slot], terminated[env, slot], truncated[env, slot])
+            read_follower(
+                env,
+                slot,
+                agents,
+                followers,
+                policy,
+                mask,
+                acting,
+                reward,
+                command_reward,
+                done,
+                terminated,
+                truncated,
+            )

@@ -1,12 +1,11 @@
-"""Roads that advance together: owns the arrays, checks the inputs, divides roads among threads."""
+"""Roads that advance together, on processors or on a GPU: checks the inputs, makes the errors."""
 
 import logging
 import math
-import secrets
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,17 +13,28 @@ from numpy.typing import ArrayLike, NDArray
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.scenario.followers import LEARNED
-from marl_lanes.traffic.arguments import check_flag, check_whole, read_mask, read_numbers
-from marl_lanes.traffic.machine.compiled import entry_point
-from marl_lanes.traffic.machine.state import Outcome, Records, allocate
-from marl_lanes.traffic.machine.threads import RoadThreads, count_processors, exclusive
+from marl_lanes.traffic.arguments import (
+    check_flag,
+    check_form,
+    check_whole,
+    choose_seed,
+    is_on_gpu,
+    read_mask,
+    read_numbers,
+)
+from marl_lanes.traffic.host import HostRoads
+from marl_lanes.traffic.machine.graphics import find_memory, read_device
+from marl_lanes.traffic.machine.state import Outcome, Records, State, allocate
+from marl_lanes.traffic.machine.threads import count_processors, exclusive
 from marl_lanes.traffic.parameters import array_sizes, make_parameters
 from marl_lanes.traffic.readout import Masks, read_masks
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policy, choose_policies
+from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policies, choose_policies
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.snapshot import read_snapshot, take_snapshot
-from marl_lanes.traffic.step import RESET, SKIP, STEP, WARM_UP, run
+
+if TYPE_CHECKING:
+    from marl_lanes.traffic.gpu import GpuRoads
 
 _LOG = logging.getLogger(__name__)
 
@@ -37,16 +47,11 @@ _UNFINISHED = int(Outcome.UNFINISHED)
 MAX_WAIT = 86_400.0
 """[s] Simulated time without a live agent after which an endless episode is an error."""
 
-_WORK_PER_CALL = 2**24
-"""[vehicle slot steps] of a kernel call that takes many steps: about a second. Between two calls
-Ctrl-C works."""
-
 _NO_LEARNER = -2
 """A value that ``policy`` of FOLLOWER never has: it is -1 or more."""
 
 _MOST_THREADS = 1024
 _MOST_ROADS = _MOST_FIRST_ROAD = 2**63 - 1
-_LAST_SEED = 2**64 - 1
 
 
 def bytes_of_road(scenario: Scenario) -> int:
@@ -61,6 +66,14 @@ class Simulator:
 
     The same seed and actions give the same bytes with any ``num_threads``. Road e of a batch is the
     same as road e of a simulator with more or fewer roads.
+
+    With ``device="cuda"`` the roads are in the memory of a GPU and advance there: the same traffic.
+    Then ``step``, ``reset`` and ``seed`` do not wait for it. Whatever reads a table (``agents``,
+    ``state``, ``actions``, the masks, ``snapshot``) waits and fetches a copy, which is read-only.
+    Policies of followers run on the host, with a copy there and back in each step. ``step`` also
+    takes arrays of the GPU (with ``__cuda_array_interface__``). If an acting agent's action there
+    is not finite, the roads stay as before that step, and the error comes from the first call that
+    can see it: a later ``step``, or one that reads a table.
 
     Use it from one thread at a time. A call during another one, also of a follower's policy, raises
     RuntimeError. A process that is forked between calls has its own copy.
@@ -79,11 +92,13 @@ class Simulator:
             registered ones.
         first_road: index of the first road for the random numbers: two simulators of 4 roads, with
             ``first_road`` 0 and 4, have the roads of one simulator of 8.
+        device: where the roads are: ``cpu``, ``cuda`` or ``cuda:N``.
 
     Raises:
         ScenarioError: the scenario is invalid, or a follower of its mix has no policy.
+        MissingExtraError: ``device`` needs the extra ``gpu``, which is not installed.
         ValueError: another argument has a wrong type, is out of range, or needs more memory than
-            there is.
+            there is; or there is no such GPU.
     """
 
     def __init__(
@@ -97,13 +112,15 @@ class Simulator:
         learned_followers: bool = False,
         follower_policies: Mapping[str, FollowerPolicy] | None = None,
         first_road: int = 0,
+        device: object = "cpu",
     ) -> None:
         num_envs = check_whole("num_envs", num_envs, 1, _MOST_ROADS)
         if num_threads is not None:
             num_threads = check_whole("num_threads", num_threads, 1, _MOST_THREADS)
         first_road = check_whole("first_road", first_road, 0, _MOST_FIRST_ROAD)
         learned_followers = check_flag("learned_followers", learned_followers)
-        seed = _choose_seed(seed)
+        gpu = read_device(device)
+        seed = choose_seed(seed)
         self.scenario = load_scenario(scenario, overrides)
         if learned_followers and LEARNED not in self.scenario.followers.mix:
             self.scenario = load_scenario(self.scenario, {"followers": {"mix": {LEARNED: 1.0}}})
@@ -121,23 +138,54 @@ class Simulator:
         self.num_actions = len(CHANGER.act(self.scenario))
         self.bytes_per_environment = bytes_of_road(self.scenario)
         """Memory of one road [bytes]: its part of the state and of the actions."""
-        check_memory("num_envs", num_envs, num_envs * self.bytes_per_environment)
-        self.state = allocate(num_envs=num_envs, **array_sizes(self.scenario))
         self.parameters = make_parameters(self.scenario)
-        self.actions = np.zeros((num_envs, self.num_slots, self.num_actions))
-        """(E, A, D) of the last step, as given."""
-        self.follower_actions = np.zeros((num_envs, self.num_slots, 1))
-        """(E, A, 1) of the last step, with those of policies."""
-        self._every_road = np.ones(num_envs, np.bool_)
-        self._arguments = self._gather_arguments()
-        self._kernel: Callable[..., None] | None = None
         wanted = num_threads or min(count_processors(), num_envs // _ROADS_PER_THREAD)
         self.num_threads = max(1, min(wanted, num_envs))
-        self._threads = RoadThreads(num_envs, self.num_threads)
+        self._gpu_roads = None if gpu is None else self._make_gpu_roads(gpu)
+        self._roads = self._gpu_roads or self._make_host_roads()
+        self.state = cast("State", self._roads.state)
+        self.device = "cpu" if gpu is None else f"cuda:{gpu}"
+        """Where the roads are."""
         self._lock = threading.Lock()
-        self._steps_per_call = max(16, _WORK_PER_CALL // self.state.vehicles.size)
         self._is_fullness_told = False
         self.seed(seed)
+
+    def _make_host_roads(self) -> HostRoads:
+        check_memory("num_envs", self.num_envs, self.num_envs * self.bytes_per_environment)
+        state = allocate(num_envs=self.num_envs, **array_sizes(self.scenario))
+        return HostRoads(state, self.parameters, self.num_actions, self.num_threads)
+
+    def _make_gpu_roads(self, gpu: int) -> "GpuRoads":
+        needed = self.num_envs * self.bytes_per_environment
+        check_memory("num_envs", self.num_envs, needed, *find_memory(gpu))
+        # Imported here, because a simulation on processors needs no CUDA.
+        from marl_lanes.traffic.gpu import GpuRoads
+
+        road = allocate(num_envs=1, **array_sizes(self.scenario))
+        numbers = {"num_actions": self.num_actions, "learner": self.learner, "gpu": gpu}
+        return GpuRoads(road, self.parameters, self.num_envs, **numbers)
+
+    @property
+    def actions(self) -> NDArray[np.float64]:
+        """(E, A, D) of the last step, as given."""
+        return self._roads.actions
+
+    @property
+    def follower_actions(self) -> NDArray[np.float64]:
+        """(E, A, 1) of the last step, with those of policies."""
+        return self._roads.follower_actions
+
+    @property
+    def is_on_gpu(self) -> bool:
+        """Whether a GPU does all of a step: no policy of followers runs on the host."""
+        return self._gpu_roads is not None and not any(self._policies)
+
+    @property
+    def gpu_roads(self) -> "GpuRoads":
+        """The roads on a GPU, for what reads them there; a RuntimeError if they are not on one."""
+        if self._gpu_roads is None:
+            raise RuntimeError("gpu_roads: the roads are in this computer's memory: device = cpu")
+        return self._gpu_roads
 
     @property
     def initial_seed(self) -> int:
@@ -151,9 +199,7 @@ class Simulator:
         Args:
             seed: as for the constructor.
         """
-        self.state.roads["random_key"] = _choose_seed(seed)
-        self.state.roads["random_stream"] = np.arange(self.num_envs) + self.first_road
-        self.state.roads["random_counter"] = 0
+        self._roads.seed(choose_seed(seed), self.first_road)
 
     @exclusive
     def reset(self, mask: ArrayLike | None = None) -> None:
@@ -165,21 +211,18 @@ class Simulator:
         Raises:
             ValueError: the mask has another shape or type.
         """
-        chosen = self._every_road if mask is None else read_mask("mask", mask, (self.num_envs,))
+        if self._gpu_roads is not None and is_on_gpu(mask):
+            check_form("mask", mask, (self.num_envs,), "?")
+            chosen: Any = mask
+        else:
+            chosen = None if mask is None else read_mask("mask", mask, (self.num_envs,))
         self._tell_if_full(chosen)
-        # Nothing of the last episode remains, so equal seeds give equal bytes.
-        state = self.state
-        for array in (state.vehicles, state.agents, state.followers, state.collisions):
-            array[chosen] = np.zeros((), array.dtype)
-        self.state.order[chosen] = 0
-        self._run(RESET, chosen, 0)
-        while (self.roads["step"][chosen] < 0).any():
-            self._run(WARM_UP, chosen, self._steps_per_call)
+        self._roads.begin(chosen)
         self._tell_if_full(chosen)
 
-    def _tell_if_full(self, mask: NDArray[np.bool_]) -> None:
+    def _tell_if_full(self, mask: Any) -> None:
         """Log, once, that departures waited because ``max_vehicles`` were on a masked road."""
-        if self._is_fullness_told or not self.roads["num_held_back"][mask].any():
+        if self._is_fullness_told or not self._roads.is_full(mask):
             return
         self._is_fullness_told = True
         _LOG.warning(
@@ -207,10 +250,9 @@ class Simulator:
             FollowerError: a follower's policy returned invalid accelerations.
         """
         # Nothing is kept of what is refused.
-        given = self._read("actions", actions, self.actions)
-        given_followers = self._read("follower_actions", follower_actions, self.follower_actions)
-        _put(given, self.actions)
-        _put(given_followers, self.follower_actions)
+        given = self._read("actions", actions)
+        given_followers = self._read("follower_actions", follower_actions)
+        self._roads.put(given, given_followers)
         self._advance()
 
     @exclusive
@@ -232,15 +274,16 @@ class Simulator:
             ScenarioError: the scenario has no horizon, and on some road no agent has become live in
                 a day of simulated time, MAX_WAIT, or it has no commands at all.
         """
-        num_steps, roads = 0, self.roads
+        num_steps = 0
         longest = math.ceil(MAX_WAIT / self.scenario.time_step)
         is_waiting = True
         while is_waiting:
             self.check_wait(num_steps)
             # An error does not depend on how many steps a call takes.
-            steps = min(self._steps_per_call, longest - num_steps % longest)
-            self._run(SKIP, self._every_road, steps)
+            steps = min(self._roads.steps_per_call, longest - num_steps % longest)
+            self._roads.skip(steps)
             num_steps += steps
+            roads = self.roads
             is_waiting = ((roads["num_live"] == 0) & (roads["is_done"] == 0)).any()
 
     def check_wait(self, num_steps: int) -> None:
@@ -282,9 +325,8 @@ class Simulator:
             ValueError: the snapshot has another size, is of another scenario, is damaged, or holds
                 roads that cannot be; nothing is changed.
         """
-        stored = read_snapshot(snapshot, self.state, self.parameters)
-        for array, content in zip(self.state.arrays, stored.arrays, strict=True):
-            np.copyto(array, content)
+        stored = read_snapshot(snapshot, self._roads.tables, self.parameters)
+        self._roads.put_state(stored)
 
     @property
     def has_longitudinal(self) -> bool:
@@ -336,17 +378,20 @@ class Simulator:
         """(E,) the table ROAD."""
         return self.state.roads
 
-    def _read(
-        self, name: str, given: ArrayLike | None, kept: NDArray[np.float64]
-    ) -> NDArray[np.floating[Any]] | None:
+    def _read(self, name: str, given: Any) -> Any:
         """Actions. A value that is not finite becomes 0, or an error if its agent acts."""
         if given is None:
             return None
-        array = read_numbers(name, given, kept.shape)
+        is_changer = name == "actions"
+        shape = (self.num_envs, self.num_slots, self.num_actions if is_changer else 1)
+        if self._gpu_roads is not None and is_on_gpu(given):
+            check_form(name, given, shape, "fd")
+            return given
+        array = read_numbers(name, given, shape)
         if np.isfinite(array).all():
             return array
         is_finite = np.isfinite(array)
-        acting = self.is_acting if kept is self.actions else self.is_follower_acting
+        acting = self.is_acting if is_changer else self.is_follower_acting
         bad = acting[..., None] & ~is_finite
         if bad.any():
             env, slot, column = np.argwhere(bad)[0].tolist()
@@ -357,59 +402,19 @@ class Simulator:
         return np.where(is_finite, array, 0.0)
 
     def _advance(self) -> None:
-        if self._policies:
-            self._ask_policies()
-        self._run(STEP, self._every_road, 1)
-
-    def _ask_policies(self) -> None:
-        """Fill in the actions of the followers that a policy drives, once all have answered."""
-        answers = []
-        for code, policy in enumerate(self._policies):
-            if policy is None:
-                continue
-            rows = self.state.followers["policy"] == code
-            if rows.any():
-                name = self.scenario.followers.external_names[code]
-                seen = self.state.follower_observations[rows]
-                answers.append((rows, ask_policy(name, policy, seen, self.scenario)))
-        for rows, accelerations in answers:
-            self.follower_actions[rows, 0] = accelerations
-
-    def _gather_arguments(self) -> tuple[NDArray[Any], ...]:
-        return (self.actions, self.follower_actions, *self.state.arrays, *self.parameters.arrays)
-
-    def _run(self, mode: int, mask: NDArray[np.bool_], num_steps: int) -> None:
-        kernel = self._kernel
-        if kernel is None:
-            arguments = (0, self.num_envs, mode, num_steps, mask, *self._arguments)
-            kernel = self._kernel = entry_point(run, arguments)
-        if self.num_threads == 1:
-            kernel(0, self.num_envs, mode, num_steps, mask, *self._arguments)
-        else:
-            self._threads.run(kernel, mode, num_steps, mask, *self._arguments)
+        if self._policies and any(self._policies):
+            followers, seen = self.state.followers, self.state.follower_observations
+            # Filled in once all have answered.
+            answers = ask_policies(self._policies, followers["policy"], seen, self.scenario)
+            self._roads.drive(answers)
+        self._roads.step()
 
     def __getstate__(self) -> dict[str, Any]:
-        # A copy has its own lock and threads, and the arguments must be the arrays of its state.
-        own = ("_lock", "_threads", "_kernel", "_arguments")
+        # A copy has its own lock.
+        own = ("_lock", "state")
         return {name: value for name, value in self.__dict__.items() if name not in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._arguments = self._gather_arguments()
-        self._kernel = None
+        self.state = cast("State", self._roads.state)
         self._lock = threading.Lock()
-        self._threads = RoadThreads(self.num_envs, self.num_threads)
-
-
-def _put(actions: NDArray[np.floating[Any]] | None, kept: NDArray[np.float64]) -> None:
-    if actions is None:
-        kept.fill(0.0)
-    else:
-        np.copyto(kept, actions)
-
-
-def _choose_seed(seed: int | None) -> int:
-    """The seed, or one of 63 bits from the system's entropy."""
-    if seed is not None:
-        return check_whole("seed", seed, 0, _LAST_SEED)
-    return secrets.randbits(63)

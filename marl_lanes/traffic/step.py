@@ -28,6 +28,7 @@ from marl_lanes.traffic.flow.collisions import (
 )
 from marl_lanes.traffic.flow.departures import clear_road, depart
 from marl_lanes.traffic.machine.compiled import compiled, internal
+from marl_lanes.traffic.machine.convergence import converge
 from marl_lanes.traffic.machine.prefetch import prefetch
 from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
 from marl_lanes.traffic.road.geometry import is_off_road, road_turn_rate
@@ -100,10 +101,11 @@ def judge(scene: Any, observations: Any, features: Any) -> None:
     has_ended = False
     index, unseen = -1, road.num_live
     while unseen > 0:
+        converge()
         index += 1
+        while agents[index].phase == _ABSENT:
+            index += 1
         agent = agents[index]
-        if agent.phase == _ABSENT:
-            continue
         unseen -= 1
         car = vehicles[agent.vehicle]
         deviation = lateral_deviation(agent, car, constants)
@@ -137,10 +139,11 @@ def renew(scene: Any, observations: Any, features: Any) -> None:
     has_changed = False
     rank, unseen = -1, road.num_live
     while unseen > 0:
+        converge()
         rank += 1
+        while vehicles[order[rank]].agent == NONE:
+            rank += 1
         car = vehicles[order[rank]]
-        if car.agent == NONE:
-            continue
         unseen -= 1
         agent = agents[car.agent]
         find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
@@ -150,10 +153,11 @@ def renew(scene: Any, observations: Any, features: Any) -> None:
         has_changed = has_changed or agent.phase != phase
     rank, unseen = -1, road.num_live
     while unseen > 0:
+        converge()
         rank += 1
+        while vehicles[order[rank]].agent == NONE:
+            rank += 1
         car = vehicles[order[rank]]
-        if car.agent == NONE:
-            continue
         unseen -= 1
         index = car.agent
         agent = agents[index]

@@ -29,10 +29,12 @@ class TrafficCollector(ABC):
     Attributes:
         policy: that drives; what is changed in it counts from the next batch on.
         places: of every worker, its process and host; empty where there are none.
+        is_elsewhere: whether roads and policy are in workers or on a GPU, for which ``next`` waits.
     """
 
     policy: TensorDictModuleBase
     places: Sequence[str] = ()
+    is_elsewhere: bool = False
 
     @abstractmethod
     def next(self) -> TensorDictBase:

@@ -246,7 +246,8 @@ class ProgramConfig(Section):
     )
     num_threads: Processes = Field(description="threads of torch")
     device: Device = Field(
-        description="where the network acts and learns: cpu, or cuda[:N]; the traffic is on the CPU"
+        description="where the network acts and learns, and where one process collects for "
+        "changers the roads are: cpu, or cuda[:N]"
     )
 
 

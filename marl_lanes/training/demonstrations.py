@@ -5,6 +5,7 @@ the actions to be imitated are those that it would take there without noise.
 """
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import torch
@@ -32,8 +33,9 @@ Expert = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 class DemonstrationsConfig(Section):
     """Transitions of an expert that mu is fitted to before stage one."""
 
+    policy: Literal["mpc", "assertive-cascade"] = Field(description="that drives")
     num_transitions: CountOrZero = Field(
-        description="transitions driven by the policy mpc before the training; 0: mu is not fitted"
+        description="transitions that it drives before the training; 0: mu is not fitted"
     )
     num_updates: Number = Field(description="updates of mu on them")
     batch_size: Number = Field(description="transitions an update")

@@ -72,8 +72,10 @@ def check_weights(optimizer: torch.optim.Optimizer, updates: int) -> None:
         for value in state.values()
         if isinstance(value, Tensor)
     ]
+    # All at once: to read each is to wait for a GPU as often.
+    device = weights[0].device
     largest = torch.stack(
-        [torch.linalg.vector_norm(one, math.inf).cpu() for one in [*weights, *means]]
+        [torch.linalg.vector_norm(one, math.inf).to(device) for one in [*weights, *means]]
     ).tolist()
     for value in largest[: len(weights)]:
         if not value <= MAX_WEIGHT:

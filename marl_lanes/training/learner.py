@@ -211,11 +211,12 @@ class Learner:
         with self.timed("collecting"):
             self.algorithm.refresh_policy()
             batch = self.collector.next()
-        counters["seconds_simulating"] += self.env.seconds - simulating
-        counters["seconds_acting"] += self.policy.seconds - acting
-        if self.collector.places:
-            # What the workers' time goes into is not known here.
+        if self.collector.is_elsewhere:
+            # What their time goes into is not known here.
             counters["seconds_waiting"] += counters["seconds_collecting"] - before
+        else:
+            counters["seconds_simulating"] += self.env.seconds - simulating
+            counters["seconds_acting"] += self.policy.seconds - acting
         return batch
 
     def update(self, number: int) -> dict[str, Tensor]:

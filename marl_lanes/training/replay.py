@@ -86,7 +86,7 @@ class Replay(Experience):
         return len(self.rings["newest"])
 
     def extend(self, transitions: TensorDictBase) -> None:
-        """Add transitions, (N,), which are on the CPU, over the oldest ones.
+        """Add transitions, (N,), which are on the CPU or the device, over the oldest ones.
 
         Raises:
             OSError: the disk has no room for the files.
@@ -95,7 +95,8 @@ class Replay(Experience):
             transitions = send(transitions, self.device)
         self._extend("newest", transitions)
         if "rare" in self.rings and RARE in transitions.keys():  # noqa: SIM118
-            self._extend("rare", transitions[transitions[RARE]])
+            # Found once, not for every column: on a GPU that is to wait.
+            self._extend("rare", transitions[transitions[RARE].nonzero().squeeze(-1)])
 
     def _extend(self, name: str, rows: TensorDictBase) -> None:
         if not len(rows):

@@ -14,7 +14,7 @@ ACTIVITIES = {
     "learn": "seconds_learning",
     "wait": "seconds_waiting",
 }
-"""What a training is for, and the counters of it; it waits for workers, where it has some."""
+"""What a training is for, and the counters of it; it waits for workers, or for roads on a GPU."""
 
 OTHER = "other"
 """The rest: the collector's own work, logging, the progress bar."""

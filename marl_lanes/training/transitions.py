@@ -15,11 +15,12 @@ Rows = TypeVar("Rows", Tensor, TensorDict)
 
 
 def send(rows: Rows, device: torch.device) -> Rows:
-    """What lies in the CPU's memory, on the device.
+    """Rows of the CPU's memory, or of the device's, on the device.
 
-    To a GPU it goes by way of pinned memory, and the call does not wait for its arrival.
+    To a GPU they go by way of pinned memory, and the call does not wait for their arrival.
     """
-    if device.type == "cpu":
+    is_there = rows.device is not None and rows.device.type != "cpu"
+    if device.type == "cpu" or is_there:
         return rows
     return rows.pin_memory().to(device, non_blocking=True)
 
@@ -71,7 +72,8 @@ def live_transitions(
         following, columns["steps_to_next_obs"] = _look_ahead(
             following, batch.ndim - 1, num_steps, gamma
         )
-    acting = now["acting"]
+    # Found once, not for every column: to know how many they are is to wait for a GPU.
+    acting = now["acting"].nonzero(as_tuple=True)
     rows = {key: column[acting] for key, column in columns.items()}
     size = [rows["action"].shape[0]]
     ends = TensorDict({key: column[acting] for key, column in following.items()}, size)
@@ -109,19 +111,22 @@ def _look_ahead(
 def finished_maneuvers(batch: TensorDictBase, group: str = CHANGER.group) -> tuple[Tensor, Tensor]:
     """The agent's return and the outcome of every command that ended in the batch, (N,) each."""
     after = batch["next", group]
-    ended = after["done"].squeeze(-1)
+    ended = after["done"].squeeze(-1).nonzero(as_tuple=True)
     outcome = batch["next", CHANGER.group, "outcome"]
     return after["command_reward"].squeeze(-1)[ended], outcome[ended]
 
 
 class LivePolicy(TensorDictModuleBase):
-    """Evaluate a policy for the agents that act, and no other slot; the others get zeros.
+    """Evaluate a policy for the agents that act; the other slots get zeros.
+
+    On the CPU no other slot is evaluated. On a GPU all are: to pick some is to wait until their
+    number is known.
 
     Args:
         policy: observations (N, F) to actions (N, D).
         action_dim: D.
         group: the group's name.
-        device: of the policy; what it reads and writes is on the CPU.
+        device: of the policy; what it reads and writes is there or on the CPU.
     """
 
     def __init__(
@@ -144,8 +149,16 @@ class LivePolicy(TensorDictModuleBase):
         """Write the action, (..., A, D), zero where no agent acts."""
         observation = tensordict[self.group, "observation"]
         acting = tensordict[self.group, "acting"]
-        action = observation.new_zeros((*acting.shape, self.action_dim))
+        evaluate = self._act_at_live if observation.device.type == "cpu" else self._act_at_all
         with torch.no_grad():
-            action[acting] = self.policy(send(observation[acting], self.device)).to(action.device)
-        tensordict.set((self.group, "action"), action)
+            tensordict.set((self.group, "action"), evaluate(observation, acting))
         return tensordict
+
+    def _act_at_live(self, observation: Tensor, acting: Tensor) -> Tensor:
+        action = observation.new_zeros((*acting.shape, self.action_dim))
+        action[acting] = self.policy(send(observation[acting], self.device)).to(action.device)
+        return action
+
+    def _act_at_all(self, observation: Tensor, acting: Tensor) -> Tensor:
+        action: Tensor = self.policy(observation.flatten(end_dim=-2))
+        return torch.where(acting.unsqueeze(-1), action.view(*acting.shape, -1), 0.0)

@@ -97,6 +97,7 @@ class WorkerEnv(LaneChangeEnv):
 class Workers(TrafficCollector):
     """What a TorchRL collector of several processes does for us."""
 
+    is_elsewhere = True
     _collector: Any
     _batches: Iterator[TensorDictBase]
 

@@ -24,7 +24,7 @@ from adversary_program import (
 from programs import load_program, replaced, run_main
 
 from marl_lanes.envs.followers import load_follower
-from marl_lanes.training.checkpoint import load_checkpoint, make_actor_network, save_checkpoint
+from marl_lanes.training.checkpoint import load_checkpoint
 from marl_lanes.training.config import ConfigError
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.opponents import prioritise
@@ -37,6 +37,9 @@ SMALL = [
     "generations=2",
     "followers=[adversarial]",
     "held_out=[late-yielder]",
+    "+guests.other=actor.pt",
+    "+guests.mpc=mpc",
+    "continues=true",
     # Models that have learned so little differ in this alone.
     "hardening.evaluation.criterion=mean_max_follower_braking_all",
     "follower.evaluation.criterion=mean_max_follower_braking_all",
@@ -45,6 +48,7 @@ SMALL = [
 ]
 LEARNED = ["follower_1", "changer_1", "follower_2", "changer_2"]
 CHANGERS = ["changer_0", "changer_1", "changer_2"]
+GUESTS = ["other", "mpc"]
 FOLLOWERS = ["adversarial", "follower_1", "follower_2", "late-yielder"]
 pytestmark = [
     pytest.mark.training,
@@ -81,6 +85,7 @@ def league(program, tmp_path_factory):
     (folder / "run" / "follower_2" / "checkpoints").mkdir(parents=True)
     (folder / "busy.yaml").unlink()
     (folder / "changer.pt").unlink()
+    (folder / "actor.pt").unlink()
     stamp = (folder / "run" / "follower_1" / "resume.pt").stat().st_mtime_ns
     out, _ = run_main(program, folder, "resume=run")
     assert (folder / "run" / "follower_1" / "resume.pt").stat().st_mtime_ns == stamp
@@ -91,7 +96,7 @@ def test_the_run_folder_is_complete(league):
     run, _ = league
     reports = {f"{name}.{kind}" for name in ("ratings", "crossplay") for kind in ("svg", "png")}
     reports |= {"ratings.json", "ratings.csv", "crossplay.json", "matches.json", "pool"}
-    assert names(run) == {*INPUTS, *LEARNED, *reports}
+    assert names(run) == {*INPUTS, *LEARNED, *reports, "guest_other.pt"}
     assert names(run / "pool") == {f"{name}.pt" for name in LEARNED}
     for name in LEARNED:
         more = {"choice.json", "opponents.json"}
@@ -104,7 +109,8 @@ def test_the_run_folder_is_complete(league):
 
 def test_every_changer_has_met_every_follower(league):
     run, out = league
-    assert set(pairs(run / "crossplay.json")) == {(c, f) for c in CHANGERS for f in FOLLOWERS}
+    everybody = {(c, f) for c in (*CHANGERS, *GUESTS) for f in FOLLOWERS}
+    assert set(pairs(run / "crossplay.json")) == everybody
     for held in read_json(run / "matches.json"):
         assert sum(map(sum, held["roads"])) == 4
         won = sum(road[0] for road in held["roads"]) / 4
@@ -112,12 +118,14 @@ def test_every_changer_has_met_every_follower(league):
     table = rows(run / "ratings.csv")
     assert [row["player"] for row in table] == [
         *CHANGERS,
+        *GUESTS,
         "adversarial",
         "follower_1",
         *FOLLOWERS[2:],
     ]
-    assert [row["generation"] for row in table] == ["0", "1", "2", "", "1", "2", ""]
-    assert [row["is_held_out"] for row in table] == ["False"] * 6 + ["True"]
+    assert [row["generation"] for row in table] == ["0", "1", "2", "", "", "", "1", "2", ""]
+    held_out = [row["player"] for row in table if row["is_held_out"] == "True"]
+    assert held_out == [*GUESTS, "late-yielder"]
     assert sum(float(row["rating"]) for row in table) == pytest.approx(0.0, abs=1e-6)
     assert all(row["player"] in out for row in table)
 
@@ -211,6 +219,11 @@ def test_damaged_matches_are_refused(program, league, tmp_path, monkeypatch):
         (["held_out=[learned]"], "followers.mix: 'learned' has no policy"),
         (["held_out=[adversarial]"], "'adversarial' must be once in followers and held_out"),
         (["followers=[a b]"], "followers.*'a b'"),
+        (["+guests.more=mpc@paper"], "num_agents of its scenario must be 4"),
+        (["+guests.more=mpc@busy.yaml"], "guests.more = 'mpc@busy.yaml': @SCENARIO must be a ship"),
+        (["+guests.more=gone.pt"], r"guests\.more = 'gone.pt': .*gone.pt: cannot be read"),
+        (["+guests.changer_1=actor.pt"], "'changer_1' must not be the name of another player"),
+        (["+guests.late-yielder=actor.pt"], "'late-yielder' must not be the name of another"),
         (["hardening.collector.num_envs=0"], "hardening.collector.num_envs = 0: must be"),
         (["changer=gone.pt"], "changer = 'gone.pt': .*gone.pt: cannot be read"),
         (["changer=actor.pt"], "changer = 'actor.pt': .*not a checkpoint of the form"),
@@ -218,7 +231,6 @@ def test_damaged_matches_are_refused(program, league, tmp_path, monkeypatch):
 )
 def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(prepare(tmp_path))
-    save_checkpoint(tmp_path / "actor.pt", make_actor_network(PAPER, [8]), "busy", 0)
     before = names(tmp_path)
     with pytest.raises(ValueError, match=message) as caught:
         program.League(program.read(replaced([*SMALL, *options])))

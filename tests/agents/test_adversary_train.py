@@ -27,7 +27,7 @@ from marl_lanes.envs.followers import find_policies
 from marl_lanes.naf.checkpoint import read_checkpoint
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork
-from marl_lanes.training.checkpoint import make_actor_network, make_network, save_checkpoint
+from marl_lanes.training.checkpoint import make_network, save_checkpoint
 from marl_lanes.training.config import ConfigError
 from marl_lanes.trajectory.file import read_trajectory
 
@@ -130,7 +130,6 @@ def test_a_finished_run_is_compared_again_from_its_folder_alone(program, single,
 
 def test_the_changer_may_be_of_another_algorithm(program, tmp_path, monkeypatch):
     monkeypatch.chdir(prepare(tmp_path))
-    save_checkpoint(tmp_path / "actor.pt", make_actor_network(PAPER, [8]), "busy", 0)
     _, changer = program.prepare(given(program, "changer=actor.pt"))
     assert type(changer) is ActorNetwork
 
@@ -168,7 +167,7 @@ def test_what_is_refused_leaves_nothing_behind(program, tmp_path, monkeypatch, o
     with pytest.raises(ValueError, match=message) as caught:
         program.prepare(given(program, *options))
     assert len(str(caught.value).splitlines()) == 1
-    assert names(tmp_path) == {"busy.yaml", "changer.pt"}
+    assert names(tmp_path) == {"busy.yaml", "changer.pt", "actor.pt"}
 
 
 @pytest.mark.parametrize(
@@ -203,4 +202,4 @@ def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch, 
     message = "error: objective = 'hostile': must be 'adversarial' or 'cooperative'"
     assert caught.value.code == 2
     assert capsys.readouterr() == ("", f"{message}\n")
-    assert names(tmp_path) == {"busy.yaml", "changer.pt"}
+    assert names(tmp_path) == {"busy.yaml", "changer.pt", "actor.pt"}

@@ -40,7 +40,7 @@ def test_every_training_is_one_that_the_program_of_naf_accepts(program, tmp_path
         run = program.make_run(view, 3, 100_000, tmp_path)
         config = read([*run.arguments, f"output={tmp_path / run.name}"])
         assert (run.program, config.seed) == ("agents/naf/train.py", 3)
-        assert config.optimizer.pretraining_transitions == 50_000
+        assert config.optimizer.pretraining_transitions == 37_500
         network = start_network(config, load_scenario(config.scenario))
         assert load_scenario(config.scenario).name == "hidden"
         sizes[view] = len(network.features), len(network.encoder.outputs)

@@ -12,8 +12,9 @@ import torch
 
 from marl_lanes.cli import doctor
 from marl_lanes.cli.main import main
+from marl_lanes.extras import MissingExtraError
 from marl_lanes.traffic import step
-from marl_lanes.traffic.machine import numba_internals
+from marl_lanes.traffic.machine import graphics, numba_internals
 
 Usage = namedtuple("Usage", "total used free")
 Stats = namedtuple("Stats", "cache_path cache_hits cache_misses")
@@ -184,9 +185,29 @@ def test_a_gpu_is_named(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda index: f"card {index}")
-    (found,) = doctor._check_gpu()
+    monkeypatch.setattr(graphics, "find_gpu", lambda _: None)
+    monkeypatch.setattr(doctor, "version", lambda name: f"version of {name}")
+    found, kernels = doctor._check_gpu()
     assert found.found.startswith("card 0, card 1, CUDA ")
-    assert found.advice is None
+    assert kernels.found == "numba-cuda version of numba-cuda"
+    assert found.advice is kernels.advice is None
+
+
+@pytest.mark.parametrize(
+    ("error", "is_wrong"), [(MissingExtraError("install it"), False), (ValueError("numpy"), True)]
+)
+def test_a_gpu_that_roads_cannot_be_on(monkeypatch, error, is_wrong):
+    monkeypatch.setattr(graphics, "find_gpu", raise_error(error))
+    found = doctor._check_gpu_kernels()
+    assert str(error) in found.found
+    assert (found.advice is not None) == is_wrong
+
+
+@pytest.mark.parametrize(("others", "is_wrong"), [([], True), (["not-there>=1"], False)])
+def test_an_extra_may_need_an_older_version_of_what_all_need(monkeypatch, others, is_wrong):
+    extra = [f'{one}; extra == "view"' for one in ("numpy<0.1", *others)]
+    monkeypatch.setattr(doctor, "requires", lambda _: ["numpy>=1", *extra])
+    assert ("numpy" in wrong()) == is_wrong
 
 
 def test_films_need_their_program(monkeypatch):

@@ -226,7 +226,7 @@ def test_a_scenario_without_end_has_the_time_that_is_given(folder, tmp_path):
             ["all.parquet", "--follow", "changer_99", "--seconds", "2", "--out", "a.mp4"],
             "--follow changer_99: must be on a recorded road",
         ),
-        (["cascade", "--out", "a.png"], "without learning: tuned-cascade, quintic, mpc"),
+        (["cascade", "--out", "a.png"], "without learning: tuned-cascade, assertive-c"),
         (["all.parquet", "--follow", "changer_x", "--out", "a.csv"], "follow = 'changer_x': must"),
         (
             ["all.parquet", "all.parquet", "--out", "a.mp4"],

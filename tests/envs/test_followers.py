@@ -104,16 +104,15 @@ def test_it_runs_in_torchrls_wrapper():
     from torchrl.envs import PettingZooWrapper
     from torchrl.envs.utils import check_env_specs
 
-    road = learners(fixed_agents=True, overrides={**FEW, "num_agents": 3})
-    wrapped = PettingZooWrapper(road, use_mask=True, done_on_any=False)
+    road = learners(population="constant", overrides={**FEW, "num_agents": 3})
+    wrapped = PettingZooWrapper(road, done_on_any=False)
     check_env_specs(wrapped)
     steps = wrapped.rollout(LONG)
     assert road.agents == []
-    assert steps["follower", "mask"].any(1).all()
-    assert (steps["follower", "mask"] == steps["changer", "mask"]).all()
-    ends = steps["next", "follower", "done"] & steps["follower", "mask"].unsqueeze(-1)
-    assert ends.flatten(1).sum(0).tolist() == [1] * 3
-    assert steps["follower", "observation"].shape[1:] == (3, len(FOLLOWER.features))
+    live = {group: steps[group, "info", "is_live"] for group in ("changer", "follower")}
+    assert live["follower"].any(0).all()
+    assert torch.equal(live["follower"], live["changer"])
+    assert steps["follower", "observation"].shape[1:] == (3, len(FOLLOWER.features) + 3)
 
 
 @pytest.mark.parametrize("scenario", ["paper", "dense"])

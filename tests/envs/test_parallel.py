@@ -1,5 +1,6 @@
 """The PettingZoo environment: PettingZoo's own tests, and whole episodes."""
 
+import copy
 import itertools
 import warnings
 from collections import Counter
@@ -171,17 +172,14 @@ def test_idle_traffic_is_run_through():
     assert skipped > 3
 
 
-@pytest.mark.parametrize("fixed_agents", [False, True])
-def test_the_horizon_truncates_every_live_agent(fixed_agents):
-    overrides = {**BUSY, "horizon": 20.0, "num_agents": 1000}
-    road = parallel_env(overrides=overrides, fixed_agents=fixed_agents, seed=0)
+def test_the_horizon_truncates_every_live_agent():
+    road = parallel_env(overrides={**BUSY, "horizon": 20.0, "num_agents": 1000}, seed=0)
     before, _, _, terminations, truncations, infos = play(road, hold, seed=0)[-1]
     outcomes = [infos[agent]["outcome"] for agent in before]
     assert outcomes.count(Outcome.HORIZON) > 1
     assert road.simulator.roads["step"][0] == 200
     assert all(terminations[agent] != truncations[agent] for agent in before)
-    if fixed_agents:
-        assert all(truncations[name] or terminations[name] for name in road.possible_agents)
+    assert road.is_cut
 
 
 def test_a_newborn_is_in_every_dict_with_reward_zero():
@@ -239,9 +237,8 @@ def test_outcomes_agree_with_terminations_and_truncations():
 @pytest.mark.parametrize(
     ("action", "problem"),
     [
-        (None, r"must be \(1,\)"),
-        (0.1, r"must be \(1,\)"),
-        (np.zeros((1, 1)), r"must be \(1,\)"),
+        (None, "must be real numbers"),
+        (np.zeros((1, 2)), r"must be \(1,\)"),
         (np.zeros(2), r"must be \(1,\)"),
         (np.zeros(0), r"must be \(1,\)"),
         (np.array([np.nan]), "must be finite"),
@@ -315,11 +312,11 @@ def test_what_cannot_be_is_refused():
         parallel_env().reset(seed=-1)
 
 
-@pytest.mark.parametrize("fixed_agents", [False, True])
-def test_returned_observations_are_nobody_elses(fixed_agents):
+@pytest.mark.parametrize("population", ["live", "constant"])
+def test_returned_observations_are_nobody_elses(population):
     few = {"num_agents": 4}
     road, twin = (
-        parallel_env("dense", fixed_agents=fixed_agents, overrides=few, seed=0) for _ in range(2)
+        parallel_env("dense", population=population, overrides=few, seed=0) for _ in range(2)
     )
     kept, saved = [road.reset(seed=0)[0]], []
     twin.reset(seed=0)
@@ -334,63 +331,15 @@ def test_returned_observations_are_nobody_elses(fixed_agents):
     assert [repr(observations) for observations in kept[:-1]] == saved
 
 
-@pytest.mark.parametrize("fixed_agents", [False, True])
-def test_after_the_end_a_step_returns_empty_dicts(fixed_agents):
-    road = parallel_env(overrides={"num_agents": 1}, fixed_agents=fixed_agents, seed=0)
+@pytest.mark.parametrize("population", ["live", "constant"])
+def test_after_the_end_a_step_returns_empty_dicts(population):
+    road = parallel_env(overrides={"num_agents": 1}, population=population, seed=0)
     assert road.step({}) == ({}, {}, {}, {}, {})
-    play(road, seed=0)
+    play(road, hold, seed=0)
     last = road.simulator.state.tobytes()
     assert road.step({"changer_0": hold(None)}) == ({}, {}, {}, {}, {})
     assert road.simulator.state.tobytes() == last
     assert road.metadata["name"] == "lane_change_v0"
-
-
-def test_fixed_agents_adds_the_absent_ones_with_zeros():
-    road = parallel_env("five_lanes", fixed_agents=True, seed=0)
-    play(road, seed=1)
-    fixed = play(road, seed=7)
-    free = play(parallel_env("five_lanes", seed=0), seed=7)
-    finished = set()
-    for (before, *parts), (same, *fewer) in zip(fixed, free, strict=True):
-        assert before == same
-        names = [f"changer_{k}" for k in range(10)]
-        if before:
-            assert all(list(part) == names for part in parts)
-        else:
-            assert [list(parts[0]), list(parts[4])] == [names, names]
-        for part, present in zip(parts, fewer, strict=True):
-            assert repr({name: part[name] for name in present}) == repr(present)
-        observations, rewards, terminations, truncations, infos = parts
-        for name in set(names) - set(fewer[0]):
-            assert observations[name].dtype == np.float32
-            assert not observations[name].any()
-            assert rewards[name] == 0.0
-            assert not truncations[name]
-            assert terminations[name] == (name in finished)
-            assert set(infos[name].values()) == {0.0}
-            assert list(infos[name]) == list(infos[names[0]])
-        finished |= {name for name in names if terminations[name] or truncations[name]}
-
-
-@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning")
-@pytest.mark.parametrize("scenario", ["paper", "five_lanes"])
-def test_it_runs_in_torchrls_wrapper(scenario):
-    from torchrl.envs import PettingZooWrapper
-    from torchrl.envs.utils import check_env_specs
-
-    road = parallel_env(scenario, fixed_agents=True, overrides={"num_agents": 3}, seed=0)
-    wrapped = PettingZooWrapper(road, use_mask=True, done_on_any=False)
-    check_env_specs(wrapped)
-    for _ in range(2):
-        steps = wrapped.rollout(LONG)
-        done = steps["next", "done"].flatten()
-        assert done.tolist() == [False] * (len(done) - 1) + [True]
-        assert road.agents == []
-        assert road.simulator.roads["is_done"][0] == 1
-        assert road.simulator.roads["num_commands"][0] == 3
-        ends = steps["next", "changer", "done"] & steps["changer", "mask"].unsqueeze(-1)
-        assert ends.flatten(1).sum(0).tolist() == [1] * 3
-        assert steps["changer", "mask"].any(1).all()
 
 
 SHORT = {"horizon": 20.0}
@@ -481,3 +430,91 @@ def test_pettingzoos_wrappers_change_nothing():
         road.step(actions)
         assert back.state().tobytes() == road.state().tobytes()
     assert road.simulator.roads["step"][0] > 0
+
+
+def test_max_cycles_truncates_the_live_agents():
+    road = parallel_env("dense", seed=0, max_cycles=7)
+    for _ in range(2):
+        *steps, last = play(road, hold)
+        assert len(steps) == 7
+        assert not any(any(frame[4].values()) for frame in steps)
+        assert all(last[4][name] for name in last[0])
+        assert not any(last[3].values())
+        assert road.is_cut
+        assert road.step({}) == ({}, {}, {}, {}, {})
+
+
+def test_an_episode_to_its_last_command_is_not_cut():
+    road = parallel_env("dense", seed=0, overrides={"num_agents": 2})
+    play(road)
+    assert not road.is_cut
+
+
+def test_an_option_changes_the_traffic_of_one_episode():
+    road, twin = parallel_env(seed=4), parallel_env(seed=4)
+    fuller = {"overrides": {"departures": {"interval": [1.5, 2.0]}}}
+    changed = transcript(road, options=fuller)
+    usual = transcript(road)
+    assert changed == transcript(parallel_env(seed=4, overrides=fuller["overrides"]))
+    assert changed != transcript(twin)
+    # The next episode has the usual traffic, and other random numbers than those that are used up.
+    assert road.scenario == twin.scenario
+    assert usual != transcript(parallel_env(seed=4))
+
+
+def test_an_option_begins_in_a_snapshot():
+    road = parallel_env("dense", seed=0)
+    until_engaged(road)
+    snapshot = road.simulator.snapshot()
+    first, second = (transcript(road, options={"snapshot": snapshot}) for _ in range(2))
+    assert first == second
+    over = parallel_env("dense", seed=0, overrides={"num_agents": 1})
+    play(over)
+    with pytest.raises(ValueError, match=r"^options\['snapshot'\]: an agent must become live"):
+        over.reset(options={"snapshot": over.simulator.snapshot()})
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"num_agents": 3}, "num_agents, max_vehicles, time_step, observations and actions must"),
+        ({"observation": {"features": ["speed"]}}, "observations and actions must be those"),
+        ({"action": {"max_yaw_acceleration": 0.1}}, "observations and actions must be those"),
+        ({"density": 3.0}, "density"),
+        ({"command": {"probability": 0.0}}, r"command\.probability > 0"),
+    ],
+)
+def test_overrides_of_a_reset_that_cannot_be(changes, problem):
+    road, twin = parallel_env(seed=0), parallel_env(seed=0)
+    with pytest.raises(ScenarioError, match=problem):
+        road.reset(options={"overrides": changes})
+    assert transcript(road) == transcript(twin)
+
+
+def test_an_unused_environment_without_a_seed_draws_one_in_each_copy():
+    """Vector environments copy the one that they are given."""
+    road = parallel_env()
+    assert copy.deepcopy(road).initial_seed != road.initial_seed
+    for used in (parallel_env(seed=3), road):
+        used.reset()
+        assert transcript(copy.deepcopy(used)) == transcript(used)
+
+
+def test_numpys_generator_follows_the_seed():
+    road = parallel_env(seed=3)
+    first = road.np_random.random()
+    assert road.np_random is road.np_random
+    road.reset(seed=4)
+    other = road.np_random.random()
+    road.reset(seed=3)
+    assert road.np_random.random() == first != other
+
+
+def test_the_state_is_bounded_and_flat_on_request():
+    road, flat = (parallel_env(seed=0, has_flat_state=flat) for flat in (False, True))
+    road.reset()
+    flat.reset()
+    assert flat.state_space.is_bounded()
+    assert flat.state_space.contains(flat.state())
+    assert flat.state().shape == (64 * 7,)
+    assert np.array_equal(flat.state(), road.state().ravel())

@@ -5,6 +5,7 @@ import pytest
 
 from marl_lanes import ScenarioError, load_scenario
 from marl_lanes.evaluation.policies import (
+    make_assertive_cascade_policy,
     make_lane_keeping_policy,
     make_mpc_policy,
     make_quintic_policy,
@@ -12,7 +13,7 @@ from marl_lanes.evaluation.policies import (
     make_tuned_cascade_policy,
 )
 from marl_lanes.evaluation.rollout import run_maneuvers
-from marl_lanes.traffic.machine.state import Outcome
+from marl_lanes.traffic.machine.state import Outcome, Phase
 
 # Many roads with two commands each take fewer steps than a few with ten.
 SHORT = {"num_agents": 2, "command": {"probability": 1.0}}
@@ -75,6 +76,7 @@ def test_lane_keeping_finds_its_features_in_any_order():
 MAKERS = {
     "lane-keeping": make_lane_keeping_policy,
     "tuned-cascade": make_tuned_cascade_policy,
+    "assertive-cascade": make_assertive_cascade_policy,
     "quintic": make_quintic_policy,
     "mpc": make_mpc_policy,
 }
@@ -156,19 +158,19 @@ BOTH = load_scenario(
     PAPER,
     {
         "action": {"longitudinal": {"max_acceleration": 1.5, "max_braking": 2.5}},
-        "observation": {"features": (*FEATURES, "car_following_acceleration")},
+        "observation": {"features": (*FEATURES, "phase", "car_following_acceleration")},
     },
 )
 
 
 def test_a_steering_policy_with_two_actions_follows_the_car_ahead():
     rows = np.asarray([[20.0, 0.0, 3.85, 0.01, 0.02, 0.001]] * 4, np.float32)
-    wanted = np.asarray([[0.75], [-1.25], [9.0], [-9.0]], np.float32)
+    more = np.asarray([[1.0, 0.75], [3.0, -1.25], [1.0, 9.0], [3.0, -9.0]], np.float32)
     for make in MAKERS.values():
-        actions = make(BOTH)(np.hstack([rows, wanted]))
+        actions = make(BOTH)(np.hstack([rows, more]))
         assert actions[:, :1] == pytest.approx(make(PAPER)(rows))
         assert actions[:, 1].tolist() == [0.75, -1.25, 1.5, -2.5]
-    assert make_lane_keeping_policy(BOTH)(np.zeros((0, 7), np.float32)).shape == (0, 2)
+    assert make_lane_keeping_policy(BOTH)(np.zeros((0, 8), np.float32)).shape == (0, 2)
 
 
 def test_lane_keeping_with_two_actions_drives_like_lane_keeping():
@@ -199,3 +201,26 @@ def test_random_with_two_actions_is_within_both_bounds():
     assert (low >= [-0.5, -2.5]).all()
     assert (high <= [0.5, 1.5]).all()
     assert abs(np.corrcoef(actions.T)[0, 1]) < 0.1
+
+
+def test_the_assertive_cascade_hurries_while_it_is_engaged():
+    scenario = load_scenario("interactive")
+    features = list(scenario.observation.features)
+    rows = np.zeros((5, len(features)), np.float32)
+    rows[:, features.index("speed")] = 20.0
+    rows[:, features.index("lateral_deviation")] = 3.75
+    rows[:, features.index("car_following_acceleration")] = [0.5, 0.5, 0.5, 1.8, -4.0]
+    rows[:, features.index("phase")] = [Phase.WAITING, Phase.ENGAGED, Phase.ABORTING, 2, 2]
+    actions = make_assertive_cascade_policy(scenario)(rows)
+    # Within the action's bounds, -3 to 2 m/s^2.
+    assert actions[:, 1] == pytest.approx([0.5, 1.5, 0.5, 2.0, -3.0])
+    calm = make_tuned_cascade_policy(scenario)(rows)
+    assert calm[:, 1] == pytest.approx([0.5, 0.5, 0.5, 1.8, -3.0])
+    assert (actions[:, 0] > calm[:, 0]).all()
+    # With one action it steers, and nothing tells it the phase.
+    alone = make_assertive_cascade_policy(PAPER)(np.zeros((2, 6), np.float32))
+    assert alone.shape == (2, 1)
+    without = [name for name in features if name != "phase"]
+    other = load_scenario(scenario, {"observation": {"features": without}})
+    with pytest.raises(ScenarioError, match=r"must contain \['phase'\] for the policy assertive"):
+        make_assertive_cascade_policy(other)

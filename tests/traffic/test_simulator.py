@@ -12,7 +12,6 @@ import pytest
 from staging import command, damped_actions, stage
 
 from marl_lanes.scenario import ScenarioError
-from marl_lanes.traffic import simulator as simulator_module
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.simulator import MAX_WAIT, Simulator
 
@@ -169,23 +168,6 @@ def test_waiting_for_a_command_that_does_not_come_is_an_error(overrides):
     with pytest.raises(ScenarioError, match="horizon = null"):
         simulator.advance_until_live()
     assert simulator.roads["step"][0] * 0.5 <= MAX_WAIT
-
-
-def test_the_steps_of_a_call_are_bounded_and_their_number_changes_nothing(monkeypatch):
-    states = []
-    for work in (1, simulator_module._WORK_PER_CALL):
-        monkeypatch.setattr(simulator_module, "_WORK_PER_CALL", work)
-        simulator = Simulator("paper", 3, seed=3)
-        calls = []
-        run = simulator._run
-        monkeypatch.setattr(
-            simulator, "_run", lambda *a, run=run, calls=calls: calls.append(run(*a))
-        )
-        simulator.reset()
-        simulator.advance_until_live()
-        states.append(simulator.state.tobytes())
-        assert len(calls) > 40 if work == 1 else len(calls) == 3
-    assert states[0] == states[1]
 
 
 def test_actions_are_clipped_to_the_scenarios_bound():

@@ -95,6 +95,7 @@ BAD = [
     ("replay.rare_share", -0.1),
     ("replay.rare_share", 1.0),
     ("replay.warmup_transitions", -1),
+    ("demonstrations.policy", "quintic"),
     ("demonstrations.num_transitions", -1),
     ("demonstrations.num_updates", 0),
     ("demonstrations.batch_size", 0),
@@ -219,7 +220,7 @@ def test_every_number_has_a_range():
     values = {name: select(given, name) for name in fields()}
     kinds = (int, float)
     numbers = {name for name, value in values.items() if type(value) in kinds}
-    words = {"loss.target_update", "collector.kind", "replay.storage"}
+    words = {"loss.target_update", "collector.kind", "replay.storage", "demonstrations.policy"}
     assert numbers == {name for name, _ in BAD} - words
     for name in sorted(numbers):
         *above, last = name.split(".")

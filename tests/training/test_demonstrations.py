@@ -19,7 +19,7 @@ SPEED, DEVIATION, YAW_RATE = 0, 2, 4
 
 def settings(**changes):
     chosen = {"num_transitions": 400, "num_updates": 300, "batch_size": 64, "learning_rate": 0.01}
-    return DemonstrationsConfig(**(chosen | {"sigma": 0.2} | changes))
+    return DemonstrationsConfig(**(chosen | {"policy": "mpc", "sigma": 0.2} | changes))
 
 
 def expert(observations):

@@ -277,6 +277,15 @@ def test_the_policy_is_evaluated_for_acting_agents_alone(batch):
     assert not action.requires_grad
 
 
+def test_where_all_slots_are_evaluated_the_others_get_zeros(batch):
+    """As on a GPU."""
+    policy = LivePolicy(Spy(), 1)
+    observation, acting = (batch["changers", key] for key in ("observation", "acting"))
+    found = policy._act_at_all(observation, acting)
+    assert torch.equal(found, policy._act_at_live(observation, acting))
+    assert policy.policy.calls == [acting.numel(), int(acting.sum())]
+
+
 def test_the_policy_with_no_one_to_act():
     spy = Spy()
     group = TensorDict(

@@ -8,6 +8,7 @@ from marl_lanes.traffic.driving.gap_seeking import desired_speed_of, seek_or_hol
 from marl_lanes.traffic.following.car_following import follow
 from marl_lanes.traffic.following.idm import free_road_term, idm_acceleration
 from marl_lanes.traffic.machine.compiled import internal
+from marl_lanes.traffic.machine.convergence import converge
 from marl_lanes.traffic.machine.prefetch import prefetch
 from marl_lanes.traffic.machine.state import NONE, Phase
 from marl_lanes.traffic.road.geometry import is_body_in
@@ -59,6 +60,25 @@ def car_following(
 
 
 @internal
+def _is_alone(car: Any) -> bool:
+    """Whether the vehicle only follows the leader in its lane, as most do."""
+    is_in_one = car.lane_low == car.lane_high and car.moving_over == 0
+    return bool(is_in_one and car.changer == NONE and car.agent == NONE)
+
+
+@internal
+def _accelerate_alone(
+    car: Any, lane: Any, vehicles: Any, profiles: Any, arcs: Any, constants: Any
+) -> float:
+    """The acceleration of such a vehicle behind the last one seen in its lane [m/s^2]."""
+    profile = profiles[car.profile]
+    acceleration = drive_alone(car, profile, lane.nearest, vehicles, constants)
+    if arcs.shape[0] > 0:
+        acceleration = min(acceleration, comfortable_in_curves(car, profile, arcs, constants))
+    return float(max(acceleration, -constants.max_braking))
+
+
+@internal
 def accelerate(
     road: Any,
     lanes: Any,
@@ -86,24 +106,25 @@ def accelerate(
         lanes[lane].nearest = NONE
         lanes[lane].nearest_engaged = NONE
     size = vehicles.itemsize
-    for rank in range(road.num_vehicles):
+    rank, count = 0, road.num_vehicles
+    while rank < count:
+        converge()
+        while rank < count and _is_alone(vehicles[order[rank]]):
+            prefetch(every_vehicle, after, rank * size, size)
+            slot = order[rank]
+            car = vehicles[slot]
+            only = lanes[car.lane_low]
+            car.acceleration = _accelerate_alone(car, only, vehicles, profiles, arcs, constants)
+            only.nearest = slot
+            rank += 1
+        if rank == count:
+            break
         prefetch(every_vehicle, after, rank * size, size)
         slot = order[rank]
         car = vehicles[slot]
         profile = profiles[car.profile]
-        lane = car.lane_low
-        is_alone = lane == car.lane_high and car.changer == NONE and car.agent == NONE
-        if is_alone and car.moving_over == 0:
-            # Most vehicles: they only follow the leader in their lane.
-            acceleration = drive_alone(car, profile, lanes[lane].nearest, vehicles, constants)
-            if arcs.shape[0] > 0:
-                allowed = comfortable_in_curves(car, profile, arcs, constants)
-                acceleration = min(acceleration, allowed)
-            car.acceleration = max(acceleration, -constants.max_braking)
-            lanes[lane].nearest = slot
-            continue
         acceleration = drive_among(
-            rank, car, lanes, vehicles, order, road.num_vehicles, agents, profiles, constants
+            rank, car, lanes, vehicles, order, count, agents, profiles, constants
         )
         if arcs.shape[0] > 0:
             allowed = comfortable_in_curves(car, profile, arcs, constants)
@@ -152,5 +173,6 @@ def accelerate(
                 lanes[agents[car.agent].target_lane].nearest_engaged = slot
         elif car.moving_over != 0:
             lanes[car.lane].nearest_engaged = slot
+        rank += 1
     # Departures take the first free slot, so vehicles are in the first slots, with a few free.
-    prefetch(every_vehicle, after, road.num_vehicles * size, _SPARE_SLOTS * size)
+    prefetch(every_vehicle, after, count * size, _SPARE_SLOTS * size)

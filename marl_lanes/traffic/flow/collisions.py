@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from marl_lanes.traffic.machine.compiled import compiled, internal
+from marl_lanes.traffic.machine.convergence import converge
 from marl_lanes.traffic.machine.state import NONE, CollisionKind, Fate
 from marl_lanes.traffic.road.geometry import half_extent
 
@@ -186,12 +187,17 @@ def detect_collisions(
     if is_swept:
         reach += along
     position = vehicles[order[0]].position
-    for rank in range(1, road.num_vehicles):
-        ahead = position
-        position = vehicles[order[rank]].position
+    rank, count = 1, road.num_vehicles
+    while rank < count:
+        converge()
+        ahead = math.inf
+        while rank < count and ahead - position >= reach:
+            ahead = position
+            position = vehicles[order[rank]].position
+            rank += 1
         if ahead - position < reach:
             _compare(
-                road, rank - 1, reach, is_swept, vehicles, order, agents, collisions, constants
+                road, rank - 2, reach, is_swept, vehicles, order, agents, collisions, constants
             )
     return bool(road.num_collisions > num_before)
 

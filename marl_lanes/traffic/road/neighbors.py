@@ -38,12 +38,22 @@ def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
 
 
 @internal
+def _stop(stride: int, count: int) -> int:
+    """The rank after the last one in a direction.
+
+    A loop compares with it alone: CUDA's compiler takes a loop that goes down from ``count - 1``
+    while ``0 <= rank < count`` for one that ends after its first round (NVVM 13.0 and 13.5).
+    """
+    return NONE if stride < 0 else count
+
+
+@internal
 def neighbor_rank(
     rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
 ) -> int:
     """Rank of the nearest vehicle in the lane, ahead of ``rank`` (stride -1) or behind it (+1)."""
-    other = rank + stride
-    while 0 <= other < count:
+    other, stop = rank + stride, _stop(stride, count)
+    while other != stop:
         if is_in_lane(vehicles[order[other]], lane, agents):
             return other
         other += stride
@@ -55,8 +65,8 @@ def neighbor_in_lane(
     rank: int, lane: int, stride: int, order: Any, count: int, vehicles: Any, agents: Any
 ) -> int:
     """Slot of the nearest vehicle in the lane, ahead of ``rank`` (stride -1) or behind it (+1)."""
-    other = rank + stride
-    while 0 <= other < count:
+    other, stop = rank + stride, _stop(stride, count)
+    while other != stop:
         slot = order[other]
         if is_in_lane(vehicles[slot], lane, agents):
             return int(slot)
@@ -77,8 +87,8 @@ def neighbors_in_lanes(
 ) -> tuple[int, int]:
     """``neighbor_in_lane`` for two lanes at once."""
     neighbor = other_neighbor = NONE
-    at = rank + stride
-    while 0 <= at < count and (neighbor == NONE or other_neighbor == NONE):
+    at, stop = rank + stride, _stop(stride, count)
+    while at != stop and (neighbor == NONE or other_neighbor == NONE):
         slot = int(order[at])
         if neighbor == NONE and is_in_lane(vehicles[slot], lane, agents):
             neighbor = slot

@@ -1,7 +1,7 @@
 """Followers that a policy drives: the protocol, two examples, the registry, the checks."""
 
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +127,32 @@ def choose_policies(
             )
         chosen.append(policy)
     return tuple(chosen)
+
+
+def ask_policies(
+    policies: Sequence[FollowerPolicy | None],
+    drivers: NDArray[np.integer[Any]],
+    observations: NDArray[np.float32],
+    scenario: Scenario,
+) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
+    """The answers of all policies: whom each drives, (E, A) bool, and their accelerations.
+
+    Args:
+        policies: of the external dispositions, in order; None where a learner acts.
+        drivers: (E, A) ``policy`` of FOLLOWER.
+        observations: (E, A, G).
+        scenario: for its names and bounds.
+
+    Raises:
+        FollowerError: one returned invalid accelerations.
+    """
+    answers = []
+    for code, policy in enumerate(policies):
+        rows = drivers == code
+        if policy is not None and rows.any():
+            name = scenario.followers.external_names[code]
+            answers.append((rows, ask_policy(name, policy, observations[rows], scenario)))
+    return answers
 
 
 def ask_policy(

@@ -35,6 +35,8 @@ class Algorithm(ABC):
         policy: chooses the group's actions while transitions are collected, with exploration.
         group: name of the group of agents.
         device: where it learns.
+        is_graphed: whether its updates are CUDA graphs, and its policy can be a part of one: it
+            waits for nothing on the GPU.
     """
 
     config: LearnerConfig
@@ -46,6 +48,7 @@ class Algorithm(ABC):
     policy: TensorDictModuleBase
     group: str
     device: torch.device
+    is_graphed: bool = False
 
     @abstractmethod
     def make_experience(self, folder: Path, bytes_per_transition: float) -> Experience:

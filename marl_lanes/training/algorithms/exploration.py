@@ -10,44 +10,71 @@ from tensordict.nn import (
     TensorDictSequential,
 )
 from torch import Tensor, nn
-from torchrl.modules import AdditiveGaussianModule
+from torchrl.envs.utils import ExplorationType, exploration_type
 
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.naf.checkpoint import PolicyNetwork
+from marl_lanes.naf.layers import ActionBox
 from marl_lanes.training.config import ExplorationConfig
 from marl_lanes.training.transitions import CPU, LivePolicy
 
 
-class OccasionalNoise(TensorDictModuleBase):
-    """Noise on the actions of some agents in a step, drawn anew in every step; the others' stay.
+class GaussianNoise(TensorDictModuleBase):
+    """a + sigma std n, clipped to the box, n normal: noise on the greedy actions.
 
-    The steps after a noisy action are then mostly greedy, so that what comes of it is what the
-    policy makes of it. And where the action is mu, Q is V, whatever the shape of Q is elsewhere.
+    With a probability below 1 it is on the actions of some agents in a step, drawn anew in every
+    step; the others' stay. The steps after a noisy action are then mostly greedy, so that what
+    comes of it is what the policy makes of it. And where the action is mu, Q is V, whatever the
+    shape of Q is elsewhere.
+
+    TorchRL's `AdditiveGaussianModule` gives the same actions, but looks at std and at the bounds
+    on the host: on a GPU that is to wait twice a step. Like it, this one has no effect under
+    ``ExplorationType.DETERMINISTIC``.
 
     Args:
-        noise: writes noisy actions over the greedy ones.
         action_key: of the actions, (..., A, D).
+        box: of the actions.
+        std: of the noise where sigma is 1, (D,), in the actions' units.
+        sigma: [1].
         probability: of noise, for an agent in a step [1].
     """
 
+    sigma: Tensor
+    std: Tensor
+    low: Tensor
+    high: Tensor
+
     def __init__(
-        self, noise: AdditiveGaussianModule, action_key: tuple[str, str], probability: float
+        self,
+        action_key: tuple[str, str],
+        box: ActionBox,
+        std: Tensor,
+        sigma: float,
+        probability: float = 1.0,
     ) -> None:
         super().__init__()
-        self.noise = noise
         self.action_key = action_key
         self.probability = probability
         self.in_keys = [action_key]
         self.out_keys = [action_key]
+        self.register_buffer("sigma", torch.tensor(sigma, dtype=torch.float32, device=std.device))
+        self.register_buffer("std", std)
+        self.register_buffer("low", box.low.to(std.device, copy=True))
+        self.register_buffer("high", box.high.to(std.device, copy=True))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the actions over the greedy ones."""
-        greedy = tensordict[self.action_key].clone()
-        noisy = self.noise(tensordict)[self.action_key]
+        if exploration_type() not in (ExplorationType.RANDOM, None):
+            return tensordict
+        greedy = tensordict[self.action_key]
         # Drawn in the actions' dtype: torch's default one may be set to another.
-        drawn = torch.rand(greedy.shape[:-1], dtype=greedy.dtype, device=greedy.device)
-        is_noisy = drawn < self.probability
-        tensordict[self.action_key] = torch.where(is_noisy.unsqueeze(-1), noisy, greedy)
+        options = {"dtype": greedy.dtype, "device": greedy.device}
+        noise = torch.randn(greedy.shape, **options) * self.std
+        noisy = (greedy + noise * self.sigma).clamp(self.low, self.high)
+        if self.probability < 1.0:
+            drawn = torch.rand(greedy.shape[:-1], **options)
+            noisy = torch.where((drawn < self.probability).unsqueeze(-1), noisy, greedy)
+        tensordict[self.action_key] = noisy
         return tensordict
 
 
@@ -56,15 +83,15 @@ class NoisyActor:
 
     Args:
         config: settings of the noise.
-        env: the noisy actions are clipped to its bounds.
-        network: the network that learns.
+        env: that it acts in, on the CPU or on the acting device.
+        network: the network that learns; the noisy actions are clipped to its box.
         group: name of the group of agents.
         device: device of the network.
         acting_device: where the policy acts; on another device it acts with a copy of the network.
 
     Attributes:
         network: the network that acts: the given one, or its copy.
-        noise: TorchRL's module.
+        noise: on the device of the environment.
         policy: writes the group's actions, with noise.
     """
 
@@ -82,27 +109,20 @@ class NoisyActor:
         self.network = (
             network if acting_device == device else copy.deepcopy(network).to(acting_device)
         )
-        self.noise = AdditiveGaussianModule(
-            spec=env.full_action_spec,
-            action_key=(group, "action"),
-            sigma_init=config.initial_sigma,
-            sigma_end=config.final_sigma,
-        ).to(torch.float32)
         # Sigma is a share of the half range, whatever the action's unit.
-        self.noise.std = network.box.half_range.to(CPU, copy=True)
-        self.noise.std[1:] *= config.longitudinal_factor
-        greedy = LivePolicy(
-            self.network.policy().module, len(self.noise.std), group, device=acting_device
-        )
-        noise = self.noise
-        if config.probability < 1.0:
-            noise = OccasionalNoise(self.noise, (group, "action"), config.probability)
-        self.policy = TensorDictSequential(greedy, noise)
+        std = network.box.half_range.to(env.device or CPU, copy=True)
+        std[1:] *= config.longitudinal_factor
+        sigma = config.initial_sigma
+        self.noise = GaussianNoise((group, "action"), network.box, std, sigma, config.probability)
+        self.set_sigma(sigma)
+        greedy = LivePolicy(self.network.policy().module, len(std), group, device=acting_device)
+        self.policy = TensorDictSequential(greedy, self.noise)
 
-    @property
-    def sigma(self) -> float:
-        """Standard deviation of the noise, as a share of each action's half range [1]."""
-        return float(self.noise.sigma)
+    def set_sigma(self, sigma: float) -> None:
+        """Set the noise's standard deviation, as a share of each action's half range [1]."""
+        # Kept here as well: to read it back from a GPU is to wait.
+        self.sigma = torch.tensor(sigma, dtype=torch.float32).item()
+        self.noise.sigma.fill_(sigma)
 
     def refresh(self) -> None:
         """Copy the learned weights, if it acts with a copy."""
@@ -113,8 +133,8 @@ class NoisyActor:
         """Set the noise, given the number of transitions so far."""
         config = self.config
         share = min(1.0, transitions / max(1, config.annealing_transitions))
-        sigma = config.initial_sigma
-        self.noise.sigma.fill_(sigma + share * (config.final_sigma - sigma))
+        start = config.initial_sigma
+        self.set_sigma(start + share * (config.final_sigma - start))
 
 
 class Sampler(nn.Module):

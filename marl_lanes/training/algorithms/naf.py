@@ -1,6 +1,7 @@
 """NAF as an algorithm of the learner, and its configuration."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Literal
 
 import torch
@@ -33,6 +34,7 @@ from marl_lanes.training.config import (
     Widths,
 )
 from marl_lanes.training.demonstrations import DemonstrationsConfig
+from marl_lanes.training.graphs import Graphed, is_capturing
 from marl_lanes.training.transitions import CPU, live_transitions
 
 
@@ -143,12 +145,12 @@ class NAF(OffPolicy):
         self.network: NAFNetwork = network.to(device)
         self.group = group
         self.device = device
-        parts = self._parts()
+        self.parts = self._parts()
         # One tensor for parameters that learn together: the optimizer's cost is mostly per tensor.
-        self.joined = [join_parameters(parameters) for parameters, _ in parts]
+        self.joined = [join_parameters(parameters) for parameters, _ in self.parts]
         self.gradients = [block.grad for block in self.joined if block.grad is not None]
         rates: dict[float, list[nn.Parameter]] = {}
-        for block, (_, rate) in zip(self.joined, parts, strict=True):
+        for block, (_, rate) in zip(self.joined, self.parts, strict=True):
             rates.setdefault(rate, []).append(block)
         self.rates = tuple(rates)
         self.loss = NAFLoss(network)
@@ -161,6 +163,10 @@ class NAF(OffPolicy):
         self.optimizer = torch.optim.Adam(
             [{"params": blocks, "lr": rate} for rate, blocks in rates.items()], fused=True
         )
+        self.is_graphed = device.type == "cuda"
+        self.graphs: dict[tuple[bool, bool], Graphed] = {}
+        # What a graph reads stays where it is.
+        self.step_sizes = [torch.zeros((), device=device) for _ in rates]
         self.compute_loss = torch.compile(self.loss) if config.optimizer.compile else self.loss
         self.actor = NoisyActor(config.exploration, env, network, group, device, acting_device)
         self.policy = self.actor.policy
@@ -194,6 +200,9 @@ class NAF(OffPolicy):
         stage_two = max(1, self.config.collector.total_transitions - stage_one)
         share = min(1.0, max(0, transitions - stage_one) / stage_two)
         set_rates(self.optimizer, self.rates, optimizer, share)
+        if self.is_graphed:
+            for group, place in zip(self.optimizer.param_groups, self.step_sizes, strict=True):
+                group["lr"] = place.fill_(group["lr"])
         is_stage_one = transitions < stage_one
         # Adam passes over what has no gradient; a zero one it would count as a step.
         for block, gradient in zip(self.joined[1:], self.gradients[1:], strict=True):
@@ -207,13 +216,36 @@ class NAF(OffPolicy):
 
     def take_step(self, batch: TensorDictBase, number: int) -> Mapping[str, Tensor]:
         """Make one update of the network, and of the target if it is due."""
-        for gradient in self.gradients:
-            gradient.zero_()
+        is_target_due = number % self.config.loss.target_interval == 0
+        if not self.is_graphed:
+            return dict(self._update(batch, is_target_due=is_target_due).items())
+        choice = self.network.mu_frozen, is_target_due
+        if choice not in self.graphs:
+            update = partial(self._update, is_target_due=is_target_due)
+            self.graphs[choice] = Graphed(update, [*self.loss.in_keys, "steps_to_next_obs"])
+        return dict(self.graphs[choice](batch).clone().items())
+
+    def _update(self, batch: TensorDictBase, *, is_target_due: bool) -> TensorDict:
         loss: Tensor = self.compute_loss(batch)["loss"]
-        loss.backward()
+        self._differentiate(loss)
         if self.config.optimizer.max_gradient_norm is not None:
             clip_grad_norm_(self.joined, self.config.optimizer.max_gradient_norm, foreach=True)
+        # Said outside a capture, Adam would warn.
+        for group in self.optimizer.param_groups:
+            group["capturable"] = is_capturing()
         self.optimizer.step()
-        if number % self.config.loss.target_interval == 0:
+        if is_target_due:
             self.target_updater.step()
-        return {"loss": loss.detach()}
+        return TensorDict({"loss": loss.detach()}, [])
+
+    def _differentiate(self, loss: Tensor) -> None:
+        """Set the gradients of what learns, block by block: ``backward`` adds to each weight's."""
+        learning = [
+            (block.grad, parameters)
+            for block, (parameters, _) in zip(self.joined, self.parts, strict=True)
+            if block.grad is not None
+        ]
+        weights = [weight for _, parameters in learning for weight in parameters]
+        found = iter(torch.autograd.grad(loss, weights, materialize_grads=True))
+        for place, parameters in learning:
+            torch.cat([next(found).flatten() for _ in parameters], out=place)

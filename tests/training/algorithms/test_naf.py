@@ -1,15 +1,20 @@
 """NAF's updates: step sizes, the two stages, the compiled loss."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 from collecting import BUSY
 from learners import filled, tiny, weights_of
 from tensordict import TensorDict
 
-from marl_lanes import LaneChangeEnv
+from marl_lanes import LaneChangeEnv, load_scenario
+from marl_lanes.training import graphs
+from marl_lanes.training.algorithms import naf
 from marl_lanes.training.algorithms.naf import NAF
 from marl_lanes.training.checkpoint import make_network
 
+META = torch.device("meta")
 torch.set_num_threads(1)
 pytestmark = [
     pytest.mark.training,
@@ -96,6 +101,49 @@ def test_step_sizes_fall_through_stage_two(tmp_path):
         rates = [group["lr"] for group in learner.algorithm.optimizer.param_groups]
         assert rates == pytest.approx([0.001 * share, 0.0002 * share])
     learner.close()
+
+
+def test_graphed_updates_are_the_same_updates(tmp_path, monkeypatch):
+    """In both stages; a replay calls the function here."""
+    monkeypatch.setattr(graphs, "capture", lambda function: function)
+    options = ("optimizer.final_rate=0.1", "loss.target_interval=3")
+    found = []
+    for is_graphed in (False, True):
+        learner = filled(tmp_path / str(is_graphed), *options)
+        algorithm = learner.algorithm
+        algorithm.is_graphed = is_graphed
+        # As precise as the numbers that they are otherwise.
+        algorithm.step_sizes = [place.double() for place in algorithm.step_sizes]
+        torch.manual_seed(9)
+        losses = []
+        for transitions in (0, 200, 250):
+            algorithm.anneal(transitions)
+            losses += learner.update(8)["loss"].tolist()
+        learner.close()
+        assert len(algorithm.graphs) == 4 * is_graphed
+        found.append((losses, weights_of(learner)))
+    (losses, weights), (others, other_weights) = found
+    assert losses == others
+    assert len(set(losses)) == 24
+    assert all(torch.equal(other_weights[key], value) for key, value in weights.items())
+
+
+def test_all_its_tensors_are_on_its_device(monkeypatch):
+    """The meta device, which does not mix with others."""
+    # It asks whether tensors share memory, and there is none.
+    monkeypatch.setattr(naf, "ForeachSoftUpdate", lambda *_, **__: None)
+    network = make_network(load_scenario("paper"), "cascade", [8])
+    roads = SimpleNamespace(device=META)
+    algorithm = NAF(tiny(), roads, network, device=META, acting_device=META)
+    algorithm.anneal(200)
+    tensors = [
+        *algorithm.loss.state_dict().values(),
+        *algorithm.policy.state_dict().values(),
+        *(one for group in algorithm.optimizer.param_groups for one in group["params"]),
+        *algorithm.gradients,
+        *algorithm.step_sizes,
+    ]
+    assert {one.device for one in tensors} == {META}
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")

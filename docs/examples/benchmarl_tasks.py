@@ -1,0 +1,82 @@
+"""BenchMARL's algorithms, one after the other."""
+
+import argparse
+import tempfile
+
+import torch
+from benchmarl.algorithms import IddpgConfig, IppoConfig, MappoConfig, MasacConfig
+from benchmarl.experiment import Experiment, ExperimentConfig
+from benchmarl.models.mlp import MlpConfig
+from measuring import SCENARIO, TRAFFIC, measure
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from marl_lanes.integrations.benchmarl import LaneChangeTask
+
+ALGORITHMS = {
+    "ippo": IppoConfig,
+    "mappo": MappoConfig,
+    "iddpg": IddpgConfig,
+    "masac": MasacConfig,
+}
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=list(ALGORITHMS))
+parser.add_argument("--iterations", type=int, default=20, help="of 2048 steps of a road")
+parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
+arguments = parser.parse_args()
+
+NUM_SLOTS = 4
+
+
+def configure(folder):
+    """BenchMARL's settings with which a minute is enough to see something."""
+    config = ExperimentConfig.get_from_yaml()
+    config.max_n_iters = arguments.iterations
+    config.gamma, config.lr = 0.97, 1e-3
+    config.on_policy_collected_frames_per_batch = 2048
+    config.off_policy_collected_frames_per_batch = 2048
+    config.on_policy_n_envs_per_worker = config.off_policy_n_envs_per_worker = 16
+    config.on_policy_n_minibatch_iters, config.on_policy_minibatch_size = 8, 512
+    config.off_policy_n_optimizer_steps, config.off_policy_train_batch_size = 64, 128
+    config.off_policy_memory_size = 50_000
+    config.evaluation = config.render = config.create_json = False
+    config.loggers, config.save_folder = [], folder
+    return config
+
+
+def policy_of(experiment):
+    """The mean action for rows of live agents, a full set of slots at a time."""
+
+    def act(rows):
+        actions = []
+        for part in torch.as_tensor(rows).split(NUM_SLOTS):
+            slots = torch.zeros(1, NUM_SLOTS, part.shape[-1])
+            slots[0, : len(part)] = part
+            seen = TensorDict({"changers": TensorDict({"observation": slots}, [1, NUM_SLOTS])}, [1])
+            with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+                actions.append(experiment.policy(seen)["changers", "action"][0, : len(part)])
+        return torch.cat(actions).numpy()
+
+    return act
+
+
+endless = {**TRAFFIC, "num_agents": None, "horizon": 60.0, "num_slots": NUM_SLOTS}
+for name in arguments.algorithms:
+    algorithm = ALGORITHMS[name].get_from_yaml()
+    if hasattr(algorithm, "scale_mapping"):
+        # A standard deviation of 1 would cover the whole range of actions.
+        algorithm.scale_mapping = "biased_softplus_0.2"
+    with tempfile.TemporaryDirectory() as folder:
+        experiment = Experiment(
+            task=LaneChangeTask({"scenario": SCENARIO, "overrides": endless}),
+            algorithm_config=algorithm,
+            model_config=MlpConfig(
+                num_cells=[64, 64], layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh
+            ),
+            seed=0,
+            config=configure(folder),
+        )
+        act = policy_of(experiment)
+        print(f"{name}, before:", measure(act, arguments.episodes))
+        experiment.run()
+        print(f"{name}, after:", measure(act, arguments.episodes))

@@ -1,0 +1,54 @@
+"""RLlib's PPO (new API stack): one policy for all agents, which are born and end in an episode."""
+
+import argparse
+
+import numpy as np
+import torch
+from measuring import SCENARIO, TRAFFIC, measure
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+
+from marl_lanes.integrations.rllib import LaneChangeMultiAgentEnv
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--iterations", type=int, default=8, help="of 2048 steps")
+parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
+arguments = parser.parse_args()
+
+config = (
+    PPOConfig()
+    .environment(LaneChangeMultiAgentEnv, env_config={"scenario": SCENARIO, "overrides": TRAFFIC})
+    .multi_agent(policies={"shared"}, policy_mapping_fn=lambda *_, **__: "shared")
+    .rl_module(
+        model_config=DefaultModelConfig(
+            fcnet_hiddens=[64, 64], vf_share_layers=False, free_log_std=True
+        )
+    )
+    .training(
+        gamma=0.97, lr=1e-3, train_batch_size=2048, minibatch_size=256, num_epochs=8, kl_coeff=0.0
+    )
+    .env_runners(num_env_runners=0)
+    .debugging(seed=0, log_level="ERROR")
+)
+algorithm = config.build_algo()
+# A standard deviation of 1 would cover the whole range of actions.
+for module in (algorithm.get_module("shared"), algorithm.learner_group._learner.module["shared"]):
+    with torch.no_grad():
+        for name, parameter in module.named_parameters():
+            if "log_std" in name:
+                parameter.fill_(-1.5)
+
+
+def act(rows):
+    """The policy's mean action for rows of live agents."""
+    module = algorithm.get_module("shared")
+    with torch.no_grad():
+        found = module.forward_inference({"obs": torch.as_tensor(rows)})
+    return np.clip(found["action_dist_inputs"][:, :1].numpy(), -1.0, 1.0)
+
+
+print("before:", measure(act, arguments.episodes))
+for _ in range(arguments.iterations):
+    algorithm.train()
+print("after:", measure(act, arguments.episodes))
+algorithm.stop()

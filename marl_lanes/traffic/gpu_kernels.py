@@ -1,0 +1,257 @@
+"""The kernels of a GPU: the step of step.py compiled for CUDA, and what surrounds it there."""
+
+import math
+from typing import Any
+
+from numba import cuda
+
+from marl_lanes.traffic.command.phases import is_acting
+from marl_lanes.traffic.machine.state import NONE
+from marl_lanes.traffic.readout import read_changer, read_follower
+from marl_lanes.traffic.step import run
+
+REFUSED, IS_FULL = 0, 1
+"""What ``alarms`` holds: the number of a refused action, 1 for the first one of the changers and -1
+for that of the followers; and whether a road is full."""
+
+
+@cuda.jit
+def advance(
+    mode: int,
+    num_steps: int,
+    refused: Any,
+    mask: Any,
+    actions: Any,
+    follower_actions: Any,
+    roads: Any,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    followers: Any,
+    collisions: Any,
+    observations: Any,
+    follower_observations: Any,
+    constants: Any,
+    profiles: Any,
+    dispositions: Any,
+    arcs: Any,
+    features: Any,
+    follower_features: Any,
+) -> None:
+    """``run`` with one road for each thread; nothing once an action was refused.
+
+    Args:
+        mode: and the next one, as for ``run``.
+        num_steps: the most time steps of each road.
+        refused: (1,) int64, 0 unless an action was refused.
+        mask: this and all others, as for ``run``.
+    """
+    if refused[0] != 0:
+        return
+    for env in range(cuda.grid(1), mask.shape[0], cuda.gridsize(1)):
+        run(
+            env,
+            env + 1,
+            mode,
+            num_steps,
+            mask,
+            actions,
+            follower_actions,
+            roads,
+            lanes,
+            vehicles,
+            order,
+            agents,
+            followers,
+            collisions,
+            observations,
+            follower_observations,
+            constants,
+            profiles,
+            dispositions,
+            arcs,
+            features,
+            follower_features,
+        )
+
+
+@cuda.jit
+def fill_rows(mask: Any, rows: Any, row: Any) -> None:
+    """Set the masked rows of ``rows``, (E, n), to ``row``, (n,)."""
+    size = row.shape[0]
+    for index in range(cuda.grid(1), rows.shape[0] * size, cuda.gridsize(1)):
+        if mask[index // size]:
+            rows[index // size, index % size] = row[index % size]
+
+
+@cuda.jit
+def seed_roads(roads: Any, seed: int, first_road: int) -> None:
+    """Restart the random numbers of every road; a road's stream is its index."""
+    for env in range(cuda.grid(1), roads.shape[0], cuda.gridsize(1)):
+        roads[env].random_key = seed
+        roads[env].random_stream = first_road + env
+        roads[env].random_counter = 0
+
+
+@cuda.jit
+def look_for_full_roads(mask: Any, roads: Any, alarms: Any) -> None:
+    """Raise an alarm if departures waited because ``max_vehicles`` were on a masked road."""
+    for env in range(cuda.grid(1), roads.shape[0], cuda.gridsize(1)):
+        if mask[env] and roads[env].num_held_back > 0:
+            alarms[IS_FULL] = 1
+
+
+@cuda.jit
+def copy_numbers(given: Any, kept: Any) -> None:
+    """Set ``kept``, (E, A, D) float64, to ``given``, which may be of another layout and type."""
+    num_slots, size = kept.shape[1], kept.shape[2]
+    for index in range(cuda.grid(1), kept.size, cuda.gridsize(1)):
+        column, row = index % size, index // size
+        kept[row // num_slots, row % num_slots, column] = given[
+            row // num_slots, row % num_slots, column
+        ]
+
+
+@cuda.jit(device=True)
+def _refuse(number: int, refused: Any, alarms: Any) -> None:
+    """Keep one number of all threads."""
+    if cuda.atomic.cas(refused, 0, 0, number) == 0:
+        alarms[REFUSED] = number
+
+
+@cuda.jit
+def check_actions(
+    actions: Any, agents: Any, has_longitudinal: bool, refused: Any, alarms: Any
+) -> None:
+    """Set actions that are not finite to 0, and refuse that of an acting changer.
+
+    Args:
+        actions: (E, A, D) float64.
+        agents: (E, A) AGENT.
+        has_longitudinal: as for ``read_masks``.
+        refused: (1,) int64, on the GPU: set to the number of a refused action.
+        alarms: (2,) int64, in the computer's memory: the same.
+    """
+    num_slots, size = actions.shape[1], actions.shape[2]
+    for index in range(cuda.grid(1), actions.size, cuda.gridsize(1)):
+        column, row = index % size, index // size
+        env, slot = row // num_slots, row % num_slots
+        if not math.isfinite(actions[env, slot, column]):
+            actions[env, slot, column] = 0.0
+            if is_acting(agents[env, slot], has_longitudinal):
+                _refuse(index + 1, refused, alarms)
+
+
+@cuda.jit
+def check_follower_actions(
+    actions: Any, followers: Any, policy: int, refused: Any, alarms: Any
+) -> None:
+    """``check_actions`` for (E, A, 1) actions of the followers that ``policy`` drives."""
+    num_slots = actions.shape[1]
+    for index in range(cuda.grid(1), actions.size, cuda.gridsize(1)):
+        env, slot = index // num_slots, index % num_slots
+        if not math.isfinite(actions[env, slot, 0]):
+            actions[env, slot, 0] = 0.0
+            if followers[env, slot].policy == policy:
+                _refuse(-index - 1, refused, alarms)
+
+
+@cuda.jit
+def read_changers(
+    agents: Any,
+    has_longitudinal: bool,
+    mask: Any,
+    steering: Any,
+    aborting: Any,
+    acting: Any,
+    outcome: Any,
+    reward: Any,
+    command_reward: Any,
+    done: Any,
+    terminated: Any,
+    truncated: Any,
+    roads: Any,
+    road_done: Any,
+    road_terminated: Any,
+    road_truncated: Any,
+) -> None:
+    """The columns of ``readout.read_changers``, and the ends of the roads, (E, 1) bool."""
+    num_slots = agents.shape[1]
+    for index in range(cuda.grid(1), agents.size, cuda.gridsize(1)):
+        env, slot = index // num_slots, index % num_slots
+        read_changer(
+            env,
+            slot,
+            agents,
+            has_longitudinal,
+            mask,
+            steering,
+            aborting,
+            acting,
+            outcome,
+            reward,
+            command_reward,
+            done,
+            terminated,
+            truncated,
+        )
+        if slot == 0:
+            is_done, is_cut = roads[env].is_done != 0, roads[env].is_cut != 0
+            road_done[env, 0] = is_done
+            road_terminated[env, 0] = is_done and not is_cut
+            road_truncated[env, 0] = is_cut
+
+
+@cuda.jit
+def read_followers(
+    agents: Any,
+    followers: Any,
+    policy: int,
+    mask: Any,
+    acting: Any,
+    reward: Any,
+    command_reward: Any,
+    done: Any,
+    terminated: Any,
+    truncated: Any,
+) -> None:
+    """The columns of ``readout.read_followers``."""
+    num_slots = agents.shape[1]
+    for index in range(cuda.grid(1), agents.size, cuda.gridsize(1)):
+        read_follower(
+            index // num_slots,
+            index % num_slots,
+            agents,
+            followers,
+            policy,
+            mask,
+            acting,
+            reward,
+            command_reward,
+            done,
+            terminated,
+            truncated,
+        )
+
+
+@cuda.jit
+def read_vehicles(roads: Any, order: Any, vehicles: Any, rows: Any) -> None:
+    """Every vehicle by decreasing position, the columns of ``STATE_COLUMNS``: (E, V, 7) float32."""
+    num_vehicles = order.shape[1]
+    for index in range(cuda.grid(1), order.size, cuda.gridsize(1)):
+        env, rank = index // num_vehicles, index % num_vehicles
+        row = rows[env, rank]
+        if rank >= roads[env].num_vehicles:
+            for column in range(rows.shape[2] - 1):
+                row[column] = 0.0
+            row[rows.shape[2] - 1] = NONE
+            continue
+        car = vehicles[env, order[env, rank]]
+        row[0] = car.position
+        row[1] = car.lateral_position
+        row[2] = car.speed
+        row[3] = car.acceleration
+        row[4] = car.yaw
+        row[5] = car.yaw_rate
+        row[6] = car.agent

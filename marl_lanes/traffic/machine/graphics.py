@@ -1,0 +1,84 @@
+"""Finding a GPU, and one clear line where something for it is missing."""
+
+import re
+from typing import Any
+
+from marl_lanes.extras import MissingExtraError, need
+from marl_lanes.scenario.messages import shown
+
+EXTRA = "gpu"
+_NAME = re.compile(r"cpu|cuda(?::(\d{1,4}))?")
+
+
+def read_device(name: object) -> int | None:
+    """The number of the GPU that a device's name stands for; None for the CPU.
+
+    Args:
+        name: ``cpu``, ``cuda`` or ``cuda:N``; or an object that is written so.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    found = _NAME.fullmatch(str(name))
+    if found is None:
+        raise ValueError(f"device = {shown(name)}: must be cpu, cuda or cuda:N")
+    return None if str(name) == "cpu" else int(found[1] or 0)
+
+
+def find_gpu(number: int) -> Any:
+    """numba-cuda's module, once the GPU with this number can be used.
+
+    Raises:
+        MissingExtraError: the extra ``gpu`` is not installed.
+        ValueError: the compiler does not load, or the driver or the GPU is missing.
+    """
+    cuda = load_compiler()
+    reason = find_fault(cuda)
+    if reason is None and number >= len(cuda.gpus):
+        reason = f"there is no GPU {number}: there are {len(cuda.gpus)}, from 0"
+    if reason is not None:
+        raise ValueError(f"device = cuda:{number}: {reason}; use device=cpu")
+    return cuda
+
+
+def find_memory(number: int) -> tuple[float, str]:
+    """The memory that a GPU has left [bytes], and its name in messages.
+
+    Raises:
+        MissingExtraError, ValueError: as for ``find_gpu``.
+    """
+    cuda = find_gpu(number)
+    with cuda.gpus[number]:
+        return cuda.current_context().get_memory_info().free, f"memory of cuda:{number}"
+
+
+def load_compiler() -> Any:
+    """numba-cuda's module.
+
+    Raises:
+        MissingExtraError: the extra ``gpu`` is not installed.
+        ValueError: a version of numpy or numba is installed that it does not work with.
+    """
+    need("numba_cuda", EXTRA)
+    try:
+        cuda = need("numba.cuda", EXTRA)
+    except MissingExtraError:
+        raise
+    except Exception as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(
+            f"numba-cuda: cannot be loaded: {type(error).__name__}: {reason}: "
+            f"pip install 'marl-lanes[{EXTRA}]'"
+        ) from None
+    return cuda
+
+
+def find_fault(cuda: Any) -> str | None:
+    """Why there is no GPU to compute on; None if there is one."""
+    # Its first line says only that the driver did not start.
+    reason = " ".join(str(cuda.cuda_error() or "").split())
+    if reason:
+        return f"NVIDIA's driver is missing or does not start: {reason}"
+    if len(cuda.gpus) == 0:
+        return "the driver is there, and no GPU"
+    return None

@@ -1,0 +1,79 @@
+"""Launches of a kernel with the same arguments again and again, and numba-cuda's private names.
+
+Numba-cuda looks at every argument at every launch, which takes as long as the step of thousands of
+roads. So the arguments are turned into the kernel's numbers once. Without a private name used here
+the results are the same, but each launch takes longer.
+"""
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+from numba import cuda
+
+Kernel = Any
+"""A function with ``cuda.jit``."""
+
+
+def configure(kernel: Kernel, number: int, threads: int, handle: int) -> Callable[..., None]:
+    """The kernel on a stream, with at least ``number`` threads in blocks of ``threads``."""
+    stream = cuda.external_stream(handle) if handle else cuda.default_stream()
+    with warnings.catch_warnings():
+        # A few roads leave most of a GPU idle.
+        warnings.simplefilter("ignore")
+        launch: Callable[..., None] = kernel[_count_blocks(number, threads), threads, stream]
+    return launch
+
+
+class Launch:
+    """A kernel with its arguments, which stay where they are.
+
+    Args:
+        kernel: compiled at the first launch.
+        number: threads that it needs.
+        arguments: arrays on the GPU, and numbers.
+        threads: of a block.
+    """
+
+    def __init__(
+        self, kernel: Kernel, number: int, arguments: tuple[Any, ...], threads: int
+    ) -> None:
+        self._kernel, self._number, self._threads = kernel, number, threads
+        self._arguments = arguments
+        self._prepared: dict[int, Callable[[], None]] = {}
+
+    def __call__(self, handle: int) -> None:
+        """Launch it on the stream with this handle, 0 for the default one."""
+        prepared = self._prepared.get(handle)
+        if prepared is None:
+            usual = configure(self._kernel, self._number, self._threads, handle)
+            # This compiles it.
+            usual(*self._arguments)
+            blocks = _count_blocks(self._number, self._threads)
+            prepared = _prepare(self._kernel, self._arguments, blocks, self._threads, handle)
+            self._prepared[handle] = prepared or (lambda: usual(*self._arguments))
+            return
+        prepared()
+
+
+def _count_blocks(number: int, threads: int) -> int:
+    return -(-number // threads)
+
+
+def _prepare(
+    kernel: Kernel, arguments: tuple[Any, ...], blocks: int, threads: int, handle: int
+) -> Callable[[], None] | None:
+    """The launch without a look at the arguments; None if this version of numba-cuda is unknown."""
+    try:
+        from cuda.core import LaunchConfig, Stream, launch
+
+        compiled = kernel.compile(tuple(kernel.typeof_pyval(one) for one in arguments))
+        numbers: list[Any] = []
+        for kind, argument in zip(compiled.argument_types, arguments, strict=True):
+            compiled._prepare_args(kind, argument, 0, [], numbers)
+        function = compiled._codelibrary.get_cufunc().kernel
+        stream = Stream.from_handle(handle)
+    except (AttributeError, ImportError):
+        return None
+    config = LaunchConfig(grid=blocks, block=threads)
+    return lambda: launch(stream, config, function, *numbers)

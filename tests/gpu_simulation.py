@@ -1,0 +1,64 @@
+"""Run with numba's simulation of CUDA: the same roads on the CPU and on the simulated GPU."""
+
+import os
+import sys
+from copy import deepcopy
+
+os.environ |= {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
+
+import numpy as np
+
+from marl_lanes import Simulator
+
+SMALL = {
+    "num_agents": None,
+    "horizon": None,
+    "num_slots": 3,
+    "max_vehicles": 12,
+    "warmup": [6.0, 8.0],
+    "command": {"position": [10.0, 20.0], "probability": 1.0},
+    "followers": {"mix": {"learned": 0.5, "late-yielder": 0.5}},
+}
+
+
+def make(device):
+    options = {"overrides": SMALL, "learned_followers": True}
+    simulator = Simulator("hidden", 2, seed=3, device=device, **options)
+    simulator.reset()
+    return simulator
+
+
+def drive(rng, simulators, num_steps=1):
+    for _ in range(num_steps):
+        actions = rng.uniform(-0.1, 0.1, simulators[0].actions.shape)
+        for simulator in simulators:
+            simulator.step(actions, actions[..., :1])
+
+
+def assert_same(here, there):
+    assert here.state.tobytes() == there.state.tobytes()
+
+
+def main():
+    rng = np.random.default_rng(0)
+    here, there = make("cpu"), make("cuda")
+    assert_same(here, there)
+    drive(rng, [here, there], 15)
+    assert_same(here, there)
+    assert here.is_live.any()
+    assert not there.is_on_gpu  # a policy drives followers on the host
+    assert there.initial_seed == 3
+    copy = deepcopy(there)
+    for simulator in (here, there):
+        simulator.reset([True, False])
+    assert_same(here, there)
+    drive(rng, [here, there])
+    assert_same(here, there)
+    copy.restore(here.snapshot())
+    drive(rng, [here, copy])
+    assert_same(here, copy)
+    sys.stdout.write("equal\n")
+
+
+if __name__ == "__main__":
+    main()
