@@ -45,12 +45,12 @@ def drive_at_limits(seed, num_steps, corner=None):
 
 @pytest.mark.parametrize("corner", [0, 1])
 def test_with_all_fields_at_one_end_of_their_limits_everything_is_finite(corner):
-    drive_at_limits(corner, 300, corner)
+    drive_at_limits(corner, 120, corner)
 
 
 def test_with_fields_anywhere_in_their_limits_everything_is_finite():
-    acted = sum(drive_at_limits(seed, 250) for seed in range(16))
-    assert (acted > 50).all()
+    acted = sum(drive_at_limits(seed, 120) for seed in range(12))
+    assert (acted > 25).all(), acted
 
 
 @pytest.mark.long

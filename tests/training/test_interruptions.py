@@ -11,9 +11,13 @@ from marl_lanes.training.interruptions import SIGNALS, ignore_interruptions, not
 
 @pytest.fixture(autouse=True)
 def handlers():
-    """Puts the handlers of pytest back."""
+    """Those of a terminal; puts those of pytest back."""
     before = [signal.getsignal(number) for number in SIGNALS]
-    yield list(before)
+    for number in SIGNALS:
+        # Under nohup pytest ignores some.
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
+    yield [signal.getsignal(number) for number in SIGNALS]
     for number, handler in zip(SIGNALS, before, strict=True):
         signal.signal(number, handler)
 
