@@ -147,6 +147,7 @@ def test_all_its_tensors_are_on_its_device(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
+@pytest.mark.long
 def test_a_compiled_loss_gives_the_same_losses(tmp_path):
     results = []
     for option in ("false", "true"):
