@@ -10,7 +10,7 @@
 #            (ARGS="--processes N": N trainings at a time)
 # make docs - the documentation as a site, in site/, which needs no server and no network (.venv-docs)
 # make figures - draw the figures of docs/ anew, in a few minutes
-# make reproduction - train once with the values of the paper, and write docs/reproduction.md; half an hour
+# make reproduction - train with the values of the paper, all seeds, and write docs/reproduction.md; hours, goes on when interrupted
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
 #                  pictures with highway-env's
 # Each sets up .venv when it is missing or out of date.
@@ -112,14 +112,13 @@ figures: $(VENV)/installed
 		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
 
 reproduction: $(VENV)/installed
-# Half an hour of training, for docs/reproduction.md and these figures:
+# Hours of training, for docs/reproduction.md and these figures:
 #     docs/figures/reproduction_loss.svg docs/figures/reproduction_loss.png
 #     docs/figures/reproduction_returns.svg docs/figures/reproduction_returns.png
 #     docs/figures/reproduction_models.svg docs/figures/reproduction_models.png
 #     docs/figures/reproduction_maneuver_touch.svg docs/figures/reproduction_maneuver_touch.png
-	$(BIN)/python agents/naf/reproduce.py --seeds 0 --scenarios touch --only touch_0
-	$(BIN)/python agents/naf/reproduce.py --seeds 0 --scenarios touch --report \
-		--figures docs/figures --docs docs/reproduction.md
+#     docs/figures/reproduction_maneuver_paper.svg docs/figures/reproduction_maneuver_paper.png
+	$(BIN)/python agents/naf/reproduce.py --processes 2 --figures docs/figures --docs docs/reproduction.md
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
