@@ -9,6 +9,7 @@ os.environ |= {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
 import numpy as np
 
 from marl_lanes import Simulator
+from marl_lanes.envs.vehicle_table import read_vehicle_tables
 
 SMALL = {
     "num_agents": None,
@@ -39,6 +40,18 @@ def assert_same(here, there):
     assert here.state.tobytes() == there.state.tobytes()
 
 
+def assert_table_is_read(simulator):
+    """The kernel's columns are those of the processors, as far as no bound cuts them."""
+    from marl_lanes.traffic.gpu_kernels import read_vehicles
+
+    expected = read_vehicle_tables(simulator)
+    rows = np.full_like(expected, np.nan)
+    state = simulator.state
+    read_vehicles[1, 4](state.roads, state.order, state.vehicles, rows)
+    np.testing.assert_array_equal(rows, expected)
+    assert expected[..., 0].any()
+
+
 def main():
     rng = np.random.default_rng(0)
     here, there = make("cpu"), make("cuda")
@@ -48,6 +61,7 @@ def main():
     assert here.is_live.any()
     assert not there.is_on_gpu  # a policy drives followers on the host
     assert there.initial_seed == 3
+    assert_table_is_read(here)
     copy = deepcopy(there)
     for simulator in (here, there):
         simulator.reset([True, False])

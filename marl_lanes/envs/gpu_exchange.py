@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from marl_lanes.envs.tensordict_internals import make_tensordict
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS
+from marl_lanes.envs.vehicle_table import STATE_COLUMNS, state_bounds
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.readout import changer_columns, follower_columns
 from marl_lanes.traffic.roles.changer import CHANGER
@@ -67,6 +67,8 @@ class Exchange:
         }
         rows = (flat[0], simulator.scenario.max_vehicles, len(STATE_COLUMNS))
         self._tables = {"state": self._add(rows, np.float32)} if has_state else {}
+        bounds = state_bounds(simulator.scenario, simulator.num_slots)
+        self._table_bounds = [torch.tensor(bound, device=device) for bound in bounds]
         self._memory = torch.empty(self._size, dtype=torch.uint8, device=device)
         arrays = [roads.share(one) for one in self._divide(self._memory)]
         ends = [arrays[number] for number in self._ends.values()]
@@ -140,6 +142,8 @@ class Exchange:
         for readout in self._readouts:
             readout()
         tensors = self._divide(self._memory.clone())
+        for number in self._tables.values():
+            tensors[number].clamp_(*self._table_bounds)
         left_out = ("reward", *self._ends) if is_start else ()
         made: dict[str, Any] = {}
         for group, columns in self._columns.items():
