@@ -166,6 +166,8 @@ def test_every_form_of_real_numbers_is_an_action(kind):
     roads = Simulator("paper", 2, seed=3, overrides=BUSY)
     roads.reset()
     roads.step(GOOD_ARRAYS[kind](roads.actions.shape))
+    expected = np.asarray(GOOD_ARRAYS[kind](roads.actions.shape), np.float64)
+    assert (roads.actions == expected).all()
     single = parallel_env("paper", seed=3, overrides=BUSY)
     single.reset()
     single.step({agent: GOOD_ARRAYS[kind]((1,)) for agent in single.agents})
