@@ -139,12 +139,15 @@ PROFILES = section(
     comfortable_braking=numbers(0.5, 5.0),
     exponent=numbers(1.0, 8.0),
     comfortable_lateral_acceleration=numbers(0.5, 4.0),
+    length=numbers(2.0, 20.0),
+    width=numbers(0.5, 2.55),
+    desired_speed=ranges(3.0, 45.0),
 )
 DRIVERS = section(
     car_following=st.sampled_from(["max", "sum", "acc"]),
     coolness=numbers(0.0, 1.0),
-    profiles=section(normal=PROFILES, aggressive=PROFILES, defensive=PROFILES),
-    mix=mixes("normal", "aggressive", "defensive"),
+    profiles=section(normal=PROFILES, aggressive=PROFILES, truck=PROFILES),
+    mix=mixes("truck", "normal", "aggressive", "defensive"),
 )
 DEPARTURES = section(
     interval=ranges(0.4, 6.0), initial_speed=ranges(1.0, 30.0), desired_speed=ranges(3.0, 45.0)
@@ -242,7 +245,7 @@ def _roads(draw, length):
     if draw(st.booleans()):
         road["num_lanes"] = draw(st.sampled_from([3, 4, 6, 2]))
     if draw(st.booleans()):
-        road["lane_width"] = draw(numbers(2.5, 5.0))
+        road["lane_width"] = draw(numbers(2.6, 5.0))
     arcs, place = [], 0.0
     for _ in range(draw(st.integers(0, 3))):
         start = round(place + draw(numbers(0.0, 100.0)), 3)

@@ -59,13 +59,16 @@ class Watch:
     def _check_passing(self):
         """Nobody is in another one's place, or has driven through it."""
         simulator = self.simulator
-        size = simulator.scenario.vehicle
+        scenario = simulator.scenario
+        sizes = np.array([scenario.body_of(name) for name in scenario.drivers.profiles])
         for env in range(simulator.num_envs):
             cars, before = simulator.vehicles[env], self.before[env]
             stays = (cars["id"] >= 0) & (cars["id"] == before["id"]) & (abs(cars["yaw"]) < MAX_TURN)
             x0, y0 = _apart(before[stays])
             x1, y1 = _apart(cars[stays])
-            is_there = (abs(x1) < 0.99 * size.length) & (abs(y1) < 0.99 * size.width)
+            own = sizes[cars["profile"][stays]]
+            length, width = np.moveaxis(0.5 * (own[:, None] + own), -1, 0)
+            is_there = (abs(x1) < 0.99 * length) & (abs(y1) < 0.99 * width)
             is_straight = cars["yaw"][stays] == 0.0
             is_there &= is_straight[:, None] & is_straight
             np.fill_diagonal(is_there, val=False)
@@ -73,7 +76,7 @@ class Watch:
             is_swapped = x0 * x1 < 0.0
             share = np.divide(x0, x0 - x1, out=np.zeros_like(x0), where=is_swapped)
             beside = abs(y0 + share * (y1 - y0))
-            is_through = is_swapped & (beside < 0.9 * min(size.length, size.width))
+            is_through = is_swapped & (beside < 0.9 * np.minimum(length, width))
             assert not is_through.any(), f"two vehicles have changed places on road {env}"
 
     def _check_observations(self):

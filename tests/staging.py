@@ -12,6 +12,12 @@ from marl_lanes.traffic.road.lane_keeping import keep_lane
 from marl_lanes.traffic.road.motion import integrate
 from marl_lanes.traffic.simulator import Simulator
 
+TRUCK = 3
+"""Row of the profile ``truck``: 16.5 m by 2.55 m, beside cars of 4.8 m by 1.8 m."""
+
+MIXED = {"drivers": {"mix": {"normal": 0.5, "truck": 0.5}}}
+"""Overrides with cars and trucks."""
+
 
 def damped_actions(simulator, noise=0.0, generator=None):
     """(E, A, D) actions that complete the changes, roughly; with noise if there is a generator.
@@ -73,15 +79,20 @@ def stage(simulator, *cars, env=0):
         row["disposition"] = Disposition.NEUTRAL
         for name, value in fields.items():
             row[name] = value
-        pose = Car(**{name: row[name] for name in Car.__annotations__ if name in row.dtype.names},
-                   slot=slot)  # fmt: skip
-        lanes = Road(simulator.scenario).lanes_of(pose)
+        lanes = Road(simulator.scenario).lanes_of(pose_of(simulator, row, slot))
         row["lane_low"], row["lane_high"] = lanes[0], lanes[-1]
         road["num_entered"] += 1
     positions = vehicles["position"][: len(cars)]
     state.order[env, : len(cars)] = sorted(range(len(cars)), key=lambda slot: -positions[slot])
     road["num_live"], road["num_vehicles"] = 0, len(cars)
     road["num_left"] = road["num_entered"] - len(cars) - road["num_collided"]
+
+
+def pose_of(simulator, row, slot=0):
+    """A vehicle as the reference has it."""
+    fields = {name: row[name] for name in Car.__annotations__ if name in row.dtype.names}
+    names = list(simulator.scenario.drivers.profiles)
+    return Car(**fields | {"slot": slot, "profile": names[row["profile"]]})
 
 
 def command(simulator, vehicle, direction, phase=Phase.ENGAGED, *, env=0):
@@ -120,10 +131,11 @@ def place(simulator, **values):
 def advance(simulator, car, *, is_keeping=True):
     """One step of one car alone, steered by lane keeping or by its yaw acceleration."""
     arcs, constants = simulator.parameters.arcs, simulator.parameters.constants[0]
+    profiles = simulator.parameters.profiles
     turn_rate = road_turn_rate(car, arcs)
     if is_keeping:
         car["yaw_acceleration"] = keep_lane(car, turn_rate, constants)
-    integrate(car, turn_rate, arcs, constants)
+    integrate(car, turn_rate, profiles, arcs, constants)
 
 
 def present(simulator):

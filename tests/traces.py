@@ -16,6 +16,7 @@ def trace(count, **columns):
     rows["phase"] = Phase.ENGAGED
     rows["speed"] = rows["speed_before"] = 20.0
     rows["direction"] = 1
+    rows["length"] = rows["leader_length"] = 4.8
     rows["deviation_before"] = 3.75
     for side in _SIDES:
         rows[f"{side}_gap"], rows[f"{side}_speed"] = np.inf, np.nan

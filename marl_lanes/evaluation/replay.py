@@ -35,6 +35,7 @@ def advance(
     action: float,
     direction: float,
     centre: float,
+    profiles: Any,
     arcs: Any,
     constants: Any,
     known: Any,
@@ -45,7 +46,7 @@ def advance(
     car.acceleration = (speed - car.speed) / constants.time_step
     car.yaw_acceleration = direction * action
     lateral_position = car.lateral_position
-    integrate(car, turn_rate, arcs, constants)
+    integrate(car, turn_rate, profiles, arcs, constants)
     known[0, k] = direction * (car.yaw_rate - road_turn_rate(car, arcs))
     # v sin psi, as in the completion criterion.
     known[1, k] = direction * (car.lateral_position - lateral_position) / constants.time_step
@@ -62,6 +63,7 @@ def drive(
     actions: Any,
     direction: float,
     centre: float,
+    profiles: Any,
     arcs: Any,
     constants: Any,
     known: Any,
@@ -79,7 +81,7 @@ def drive(
             error = direction * (centre - car.lateral_position) / max(car.speed, _MIN_SPEED)
             wanted = _POLE * _POLE * (_POLE * error - 3.0 * direction * car.yaw)
             actions[k] = min(max(wanted - 3.0 * _POLE * turning, -bound), bound)
-        advance(car, speed[k], actions[k], direction, centre, arcs, constants, known, k)
+        advance(car, speed[k], actions[k], direction, centre, profiles, arcs, constants, known, k)
 
 
 @compiled
@@ -90,6 +92,7 @@ def respond(
     actions: Any,
     direction: float,
     centre: float,
+    profiles: Any,
     arcs: Any,
     constants: Any,
     work: Any,
@@ -105,6 +108,7 @@ def respond(
         actions: (M,) [rad/s^2].
         direction: +1 to the left, -1 to the right.
         centre: lateral position of the target lane's centre [m].
+        profiles: (P,) PROFILE; the vehicle has the first.
         arcs: (K,) ARC.
         constants: of the scenario.
         work: (1,) VEHICLE, overwritten.
@@ -116,7 +120,18 @@ def respond(
             work[0] = cars[j]
             for k in range(j, count):
                 action = actions[k] + sign * _DIFFERENCE if k == j else actions[k]
-                advance(work[0], speed[k], action, direction, centre, arcs, constants, known, k)
+                advance(
+                    work[0],
+                    speed[k],
+                    action,
+                    direction,
+                    centre,
+                    profiles,
+                    arcs,
+                    constants,
+                    known,
+                    k,
+                )
                 for row in range(3):
                     change = sign * known[row, k] / (2.0 * _DIFFERENCE)
                     response[row, k, j] = change + (response[row, k, j] if sign < 0.0 else 0.0)
@@ -157,7 +172,8 @@ class Replay:
         self._actions = np.zeros(speed.size)
         self._known = np.zeros((3, speed.size))
         centre = lateral_position + direction * deviation
-        self._road = (float(direction), centre, parameters.arcs, parameters.constants[0])
+        given = parameters.profiles, parameters.arcs, parameters.constants[0]
+        self._road = (float(direction), centre, *given)
 
     def steer(self, begin: int, end: int) -> None:
         """Let lane keeping toward the target lane choose the actions from begin to end."""

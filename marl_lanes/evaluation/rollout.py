@@ -64,10 +64,12 @@ TRACE = np.dtype(
         ("position", "f8"),
         ("is_over_marking", "?"),  # the body is in the target lane
         ("is_in_origin", "?"),  # the body is in the origin lane
+        ("length", "f8"),  # of the vehicle
         # Of the target lane's neighbors after the step; inf and nan where there is none.
         ("leader_id", "i8"),  # serial number on its road, -1 where there is none
         ("leader_gap", "f8"),
         ("leader_speed", "f8"),
+        ("leader_length", "f8"),
         ("follower_id", "i8"),  # serial number on its road, -1 where there is none
         ("follower_gap", "f8"),
         ("follower_speed", "f8"),
@@ -178,6 +180,7 @@ class _Recorder:
         bodies = cars.view(np.recarray)
         rows["is_over_marking"] = _is_body_in(bodies, target)
         rows["is_in_origin"] = _is_body_in(bodies, origin)
+        rows["length"] = self._length(cars)
         for side, is_ahead in (("leader", True), ("follower", False)):
             for slot, prefix in ((agents[f"target_{side}"], ""), (agents[side], "origin_")):
                 others = simulator.vehicles[envs, slot]
@@ -186,7 +189,9 @@ class _Recorder:
             slot = agents[f"target_{side}"]
             others = simulator.vehicles[envs, slot]
             rows[f"{side}_id"] = np.where(slot == NONE, NONE, others["id"])
-            if not is_ahead:
+            if is_ahead:
+                rows["leader_length"] = np.where(slot == NONE, np.nan, self._length(others))
+            else:
                 acceleration = np.where(slot == NONE, np.nan, others["acceleration"])
                 rows["follower_acceleration"] = acceleration
         self._note_imposed(rows, envs)
@@ -253,9 +258,13 @@ class _Recorder:
         """Bumper to bumper, to the vehicles ahead or behind; inf if there is none."""
         others = self.simulator.vehicles[envs, slot]
         rear, front = (cars, others) if is_ahead else (others, cars)
-        constants = self.simulator.parameters.constants[0]
-        gap = _bumper_gap(rear.view(np.recarray), front.view(np.recarray), constants)
+        profiles = self.simulator.parameters.profiles.view(np.recarray)
+        gap = _bumper_gap(rear.view(np.recarray), front.view(np.recarray), profiles)
         return np.where(slot == NONE, np.inf, gap)
+
+    def _length(self, cars: Any) -> NDArray[np.float64]:
+        profiles = self.simulator.parameters.profiles
+        return np.asarray(2.0 * profiles["half_length"][cars["profile"]])
 
     def finish(self) -> list[Maneuver]:
         """The maneuvers ordered by road and command, with their traces."""

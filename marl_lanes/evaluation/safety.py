@@ -74,7 +74,7 @@ class _Pair(NamedTuple):
 
 def measure_safety(trace: NDArray[np.void], scenario: Scenario) -> SafetyMetrics:
     """Every measure of one maneuver from its (N,) TRACE."""
-    step, length = scenario.time_step, scenario.vehicle.length
+    step = scenario.time_step
     pairs = _pairs(trace)
     times = {name: _time_to_collision(pair) for name, pair in pairs.items()}
     smallest = {name: float(values.min(initial=inf)) for name, values in times.items()}
@@ -100,10 +100,10 @@ def measure_safety(trace: NDArray[np.void], scenario: Scenario) -> SafetyMetrics
         drac=max(map(_drac, pairs.values())) if has_rows else nan,
         imposed_on_follower=_largest(trace["imposed_on_follower"]),
         imposed_on_changer=_largest(trace["imposed_on_changer"]),
-        post_encroachment_time_leader=_time_behind_leader(attempt, at, length, step),
-        post_encroachment_time_follower=_time_ahead_of_follower(attempt, at, length, step),
-        time_headway_leader=_headway(pairs["target_leader"], entry, length),
-        time_headway_follower=_headway(pairs["target_follower"], entry, length),
+        post_encroachment_time_leader=_time_behind_leader(attempt, at, step),
+        post_encroachment_time_follower=_time_ahead_of_follower(attempt, at, step),
+        time_headway_leader=_headway(pairs["target_leader"], entry, trace["leader_length"]),
+        time_headway_follower=_headway(pairs["target_follower"], entry, trace["length"]),
         is_s_critical_violated=_is_s_critical_violated(trace, entry),
         **{
             f"is_rss_violated_{side}": float(violated.any()) if present.any() else nan
@@ -201,11 +201,14 @@ def _largest(values: Columns) -> float:
     return float(defined.max()) if defined.size else nan
 
 
-def _headway(pair: _Pair, entry: int | None, length: float) -> float:
-    """Distance front to front divided by the speed of the rear vehicle, at the entry [s]."""
+def _headway(pair: _Pair, entry: int | None, length: Columns) -> float:
+    """Distance front to front divided by the speed of the rear vehicle, at the entry [s].
+
+    ``length`` is that of the vehicle ahead [m].
+    """
     if entry is None or not pair.counts[entry] or pair.rear_speed[entry] <= 0.0:
         return nan
-    return float((pair.gap[entry] + length) / pair.rear_speed[entry])
+    return float((pair.gap[entry] + length[entry]) / pair.rear_speed[entry])
 
 
 def _is_s_critical_violated(trace: NDArray[np.void], entry: int | None) -> float:
@@ -231,9 +234,7 @@ def _is_rss_violated(
     return present & is_near, present
 
 
-def _time_ahead_of_follower(
-    attempt: NDArray[np.void], entry: int | None, length: float, step: float
-) -> float:
+def _time_ahead_of_follower(attempt: NDArray[np.void], entry: int | None, step: float) -> float:
     """From the entry until the follower's front is where the changer's rear was at the entry [s].
 
     If the rows end before that, or another vehicle is then behind, the follower is extrapolated at
@@ -243,14 +244,12 @@ def _time_ahead_of_follower(
         return nan
     rows = attempt[entry:]
     rows = rows[: _num_equal(rows["follower_id"])]
-    place = rows["position"][0] - 0.5 * length
-    front = rows["position"] - 0.5 * length - rows["follower_gap"]
+    rear = rows["position"] - 0.5 * rows["length"]
+    place, front = rear[0], rear - rows["follower_gap"]
     return _arrival(place - front, rows["follower_speed"], step)
 
 
-def _time_behind_leader(
-    attempt: NDArray[np.void], entry: int | None, length: float, step: float
-) -> float:
+def _time_behind_leader(attempt: NDArray[np.void], entry: int | None, step: float) -> float:
     """From when the leader's rear was where the changer's front is at the entry, until entry [s].
 
     If the rows begin after that, or another vehicle was ahead then, the leader is extrapolated
@@ -260,8 +259,8 @@ def _time_behind_leader(
         return nan
     rows = attempt[entry::-1]
     rows = rows[: _num_equal(rows["leader_id"])]
-    place = rows["position"][0] + 0.5 * length
-    rear = rows["position"] + 0.5 * length + rows["leader_gap"]
+    front = rows["position"] + 0.5 * rows["length"]
+    place, rear = front[0], front + rows["leader_gap"]
     return _arrival(rear - place, rows["leader_speed"], step)
 
 

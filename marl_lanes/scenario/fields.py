@@ -64,6 +64,8 @@ Speed = Annotated[
     BeforeValidator(_parse_speed),
     WithJsonSchema(_SPEED_SCHEMA),
 ]
+Length = Annotated[float, Field(strict=True, ge=2.0, le=20.0)]
+Width = Annotated[float, Field(strict=True, ge=0.5, le=2.6)]
 Interval = Annotated[float, Field(strict=True, ge=0.1, le=1e6)]
 Position = Annotated[float, Field(strict=True, ge=0.0, le=100_000.0)]
 WarmUp = Annotated[float, Field(strict=True, ge=0.0, le=3600.0)]

@@ -6,7 +6,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from marl_lanes.scenario.curves import Arc
-from marl_lanes.scenario.fields import Count, Positive, Section
+from marl_lanes.scenario.fields import Count, Length, Positive, Section, Width
 
 
 class Road(Section):
@@ -50,10 +50,13 @@ class Road(Section):
 
 
 class Vehicle(Section):
-    """The body of every vehicle, a rectangle, and its physical limits."""
+    """The body of a vehicle, a rectangle, and its physical limits.
 
-    length: Positive = Field(4.8, ge=2.0, le=20.0, description="[m], 2 to 20")
-    width: Positive = Field(1.8, ge=0.5, le=2.5, description="[m], 0.5 to 2.5, < road.lane_width")
+    A driver profile may have another length and width.
+    """
+
+    length: Length = Field(4.8, description="[m], 2 to 20")
+    width: Width = Field(1.8, description="[m], 0.5 to 2.6, < road.lane_width")
     max_braking: Positive = Field(
         8.0, ge=2.0, le=12.0, description="physical braking limit [m/s^2], 2 to 12"
     )

@@ -193,13 +193,21 @@ class Scenario(Section):
         """Lanes whose vehicles may be commanded."""
         return self.middle_lanes if self.command.lanes is None else self.command.lanes
 
+    def body_of(self, profile: str) -> tuple[float, float]:
+        """Length and width of the vehicles with this driver profile [m]."""
+        driver = self.drivers.profiles[profile]
+        return (
+            self.vehicle.length if driver.length is None else driver.length,
+            self.vehicle.width if driver.width is None else driver.width,
+        )
+
+    def desired_speed_of(self, profile: str) -> tuple[float, float]:
+        """Range of v0 with this driver profile [m/s]."""
+        return self.drivers.profiles[profile].desired_speed or self.departures.desired_speed
+
     @model_validator(mode="after")
     def _check_together(self) -> Self:
-        if self.vehicle.width >= self.road.lane_width:
-            raise ValueError(
-                f"vehicle.width = {self.vehicle.width} must be below road.lane_width = "
-                f"{self.road.lane_width}"
-            )
+        self._check_widths()
         if self.command.position[1] >= self.road.length:
             raise ValueError(
                 f"command.position = {list(self.command.position)} must be below road.length = "
@@ -246,24 +254,32 @@ class Scenario(Section):
             )
         return self
 
+    def _check_widths(self) -> None:
+        """Reject bodies that are as wide as a lane."""
+        widths = {"vehicle.width": self.vehicle.width} | {
+            f"drivers.profiles.{name}.width": self.body_of(name)[1] for name in self.drivers.driven
+        }
+        for field, width in widths.items():
+            if width >= self.road.lane_width:
+                raise ValueError(
+                    f"{field} = {width} must be below road.lane_width = {self.road.lane_width}"
+                )
+
     def _check_curves(self) -> None:
         """Reject curves in which lane keeping would leave its lane."""
-        room = MAX_CARRIED_SHARE * (self.road.lane_width - self.vehicle.width) / 2.0
         speeds = [self.departures.initial_speed[1], self.followers.external.max_speed]
         # Both factors apply to an adversarial driver that seeks a gap itself.
         factors = self.followers.adversarial.desired_speed_factor * self.gap.speed_factor
-        speeds.append(self.departures.desired_speed[1] * factors)
         if self.action.longitudinal is not None:
             speeds.append(self.action.longitudinal.max_speed)
-        for name, profile in self.drivers.profiles.items():
-            if self.drivers.mix.get(name, 0.0) == 0.0:
-                continue
-            lateral = profile.comfortable_lateral_acceleration
+        for name in self.drivers.driven:
+            lateral = self.drivers.profiles[name].comfortable_lateral_acceleration
+            room = MAX_CARRIED_SHARE * (self.road.lane_width - self.body_of(name)[1]) / 2.0
             deviations = deviation_in_curves(
                 self.road.arcs,
                 road_width=self.road.num_lanes * self.road.lane_width,
                 lateral_acceleration=lateral,
-                top_speed=max(speeds),
+                top_speed=max(*speeds, self.desired_speed_of(name)[1] * factors),
                 pole=self.lane_keeping.pole,
                 max_yaw_acceleration=self.lane_keeping.max_yaw_acceleration,
             )

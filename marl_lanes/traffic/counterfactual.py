@@ -86,7 +86,7 @@ def _imagine(
                 continue
             car = cars[agent.vehicle]
             front = _body_ahead(agent.vehicle, agent.origin_lane, NONE, order[env], count, cars)
-            alone = drive_alone(car, profiles[car.profile], front, cars, c)
+            alone = drive_alone(car, front, cars, profiles, c)
             bent = comfortable_in_curves(car, profiles[car.profile], arcs, c)
             changers[env, index] = max(min(alone, bent), -c.max_braking)
             slot = agent.target_follower
@@ -96,6 +96,6 @@ def _imagine(
             smallest = comfortable_in_curves(behind, profiles[behind.profile], arcs, c)
             for lane in range(behind.lane_low, behind.lane_high + 1):
                 front = _body_ahead(slot, lane, agent.vehicle, order[env], count, cars)
-                alone = drive_alone(behind, profiles[behind.profile], front, cars, c)
+                alone = drive_alone(behind, front, cars, profiles, c)
                 smallest = min(smallest, alone)
             followers[env, index] = max(smallest, -c.max_braking)

@@ -26,8 +26,9 @@ CONSTANTS: Table = (
     ("road_length", "f8", "m", ""),
     ("lane_width", "f8", "m", ""),
     ("num_lanes", "i8", "1", "L"),
-    ("vehicle_length", "f8", "m", ""),
-    ("vehicle_width", "f8", "m", ""),
+    ("longest_diagonal", "f8", "m", "of the bodies in the mix"),
+    ("shortest_length", "f8", "m", "of the bodies in the mix"),
+    ("narrowest_width", "f8", "m", "of the bodies in the mix"),
     ("max_braking", "f8", "m/s^2", "physical limit"),
     ("min_turning_radius", "f8", "m", ""),
     ("is_sum_form", "i8", "1", "1 for the standard IDM and the ACC model, 0 for Eq. 9"),
@@ -37,8 +38,6 @@ CONSTANTS: Table = (
     ("interval_high", "f8", "s", "departures"),
     ("initial_speed_low", "f8", "m/s", ""),
     ("initial_speed_high", "f8", "m/s", ""),
-    ("desired_speed_low", "f8", "m/s", ""),
-    ("desired_speed_high", "f8", "m/s", ""),
     ("warmup_low", "f8", "s", ""),
     ("warmup_high", "f8", "s", ""),
     ("keeping_pole", "f8", "rad/s", "lane keeping"),
@@ -96,7 +95,14 @@ PROFILE: Table = (
     ("comfortable_lateral_acceleration", "f8", "m/s^2", "in a curve"),
     ("braking_scale", "f8", "m/s^2", "2 sqrt(a_m b)"),
     ("adversarial_braking_scale", "f8", "m/s^2", "the same with the adversarial a_m"),
+    ("half_length", "f8", "m", "of the body, a rectangle about its centre"),
+    ("half_width", "f8", "m", "of the body"),
+    ("desired_speed_low", "f8", "m/s", "departures"),
+    ("desired_speed_high", "f8", "m/s", "departures"),
 )
+
+_OF_VEHICLE = {"length", "width", "desired_speed"}
+"""Fields of a profile that may be the scenario's."""
 
 ARC: Table = (
     ("start", "f8", "m", ""),
@@ -154,9 +160,12 @@ def make_parameters(scenario: Scenario) -> Parameters:
     profiles = np.zeros(len(scenario.drivers.profiles), structure(PROFILE))
     shares = [scenario.drivers.mix.get(name, 0.0) for name in scenario.drivers.profiles]
     profiles["share"] = _cumulative(shares)
-    for row, profile in zip(profiles, scenario.drivers.profiles.values(), strict=True):
-        for name, value in profile.model_dump().items():
-            row[name] = value
+    for row, (name, profile) in zip(profiles, scenario.drivers.profiles.items(), strict=True):
+        for field, value in profile.model_dump(exclude=_OF_VEHICLE).items():
+            row[field] = value
+        length, width = scenario.body_of(name)
+        row["half_length"], row["half_width"] = 0.5 * length, 0.5 * width
+        row["desired_speed_low"], row["desired_speed_high"] = scenario.desired_speed_of(name)
         braking = profile.comfortable_braking
         adversarial = scenario.followers.adversarial.max_acceleration
         row["braking_scale"] = 2.0 * math.sqrt(profile.max_acceleration * braking)
@@ -186,13 +195,15 @@ def _make_constants(scenario: Scenario) -> Records:
     completion, departures = scenario.completion, scenario.departures
     external, names = scenario.followers.external, scenario.followers.external_names
     longitudinal, grid = scenario.action.longitudinal, scenario.observation.grid
+    bodies = [scenario.body_of(name) for name in scenario.drivers.driven]
     values: dict[str, float | list[float]] = {
         "time_step": scenario.time_step,
         "road_length": scenario.road.length,
         "lane_width": scenario.road.lane_width,
         "num_lanes": scenario.road.num_lanes,
-        "vehicle_length": scenario.vehicle.length,
-        "vehicle_width": scenario.vehicle.width,
+        "longest_diagonal": max(math.sqrt(x * x + y * y) for x, y in bodies),
+        "shortest_length": min(length for length, _ in bodies),
+        "narrowest_width": min(width for _, width in bodies),
         "max_braking": scenario.vehicle.max_braking,
         "min_turning_radius": scenario.vehicle.min_turning_radius,
         "is_sum_form": scenario.drivers.car_following != "max",
@@ -202,8 +213,6 @@ def _make_constants(scenario: Scenario) -> Records:
         "interval_high": departures.interval[1],
         "initial_speed_low": departures.initial_speed[0],
         "initial_speed_high": departures.initial_speed[1],
-        "desired_speed_low": departures.desired_speed[0],
-        "desired_speed_high": departures.desired_speed[1],
         "warmup_low": scenario.warmup[0],
         "warmup_high": scenario.warmup[1],
         "keeping_pole": scenario.lane_keeping.pole,

@@ -56,7 +56,14 @@ _HORIZON = int(Outcome.HORIZON)
 
 @internal
 def move(
-    road: Any, vehicles: Any, order: Any, agents: Any, actions: Any, arcs: Any, constants: Any
+    road: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    actions: Any,
+    profiles: Any,
+    arcs: Any,
+    constants: Any,
 ) -> tuple[bool, bool, float, float]:
     """Steer and move every vehicle, update the order, mark the vehicles that leave the road.
 
@@ -76,7 +83,7 @@ def move(
         else:
             car.yaw_acceleration = keep_lane(car, turn_rate, constants)
         before = car.lateral_position
-        extent = integrate(car, turn_rate, arcs, constants)
+        extent = integrate(car, turn_rate, profiles, arcs, constants)
         furthest, nearest = max(furthest, car.advance), min(nearest, car.advance)
         sideways = car.lateral_position - before
         left, right = max(left, sideways), min(right, sideways)
@@ -295,10 +302,10 @@ def run(
                 after,
             )
             is_leaving, is_command_due, along, across = move(
-                road, cars, ranks, live, actions[env], arcs, p
+                road, cars, ranks, live, actions[env], profiles, arcs, p
             )
             road.step += 1
-            if detect_collisions(road, along, across, cars, ranks, live, crashes, p):
+            if detect_collisions(road, along, across, cars, ranks, live, crashes, profiles, p):
                 is_leaving = True
             if road.num_live > 0:
                 judge(scene, seen, features)

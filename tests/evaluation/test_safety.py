@@ -11,7 +11,6 @@ from marl_lanes.evaluation.safety import attempts, entry_row, measure_safety, rs
 from marl_lanes.traffic.machine.state import Phase
 
 PAPER = load_scenario("paper")
-LENGTH = PAPER.vehicle.length
 
 
 def measured(count=3, **columns):
@@ -257,3 +256,24 @@ def test_the_critical_distance(speed, follower, critical):
     over = [False, True, True]
     assert is_violated([1.0, critical + 0.05, 1.0], is_over_marking=over) == 0.0
     assert is_violated([99.0, critical - 0.05, 99.0], is_over_marking=over) == 1.0
+
+
+def test_sizes_are_those_of_the_vehicles():
+    """A truck of 16.5 m that changes ahead of a car, and behind a van of 6 m."""
+    sizes = {"length": 16.5, "leader_length": 6.0}
+    found = measured(
+        is_over_marking=True,
+        follower_gap=13.5,
+        follower_speed=15.0,
+        leader_gap=34.0,
+        leader_speed=20.0,
+        **sizes,
+    )
+    # Front to front: the gap, and the length of the vehicle ahead.
+    assert found.time_headway_follower == pytest.approx((13.5 + 16.5) / 15.0)
+    assert found.time_headway_leader == pytest.approx((34.0 + 6.0) / 20.0)
+    columns = moving(40, 2, follower=(30.0, 24.0), leader=(18.0, 15.0))
+    found = measured(40, **columns, **sizes)
+    # From bumper to bumper, whatever the lengths.
+    assert found.post_encroachment_time_follower == pytest.approx(1.25)
+    assert found.post_encroachment_time_leader == pytest.approx(1.2)

@@ -17,13 +17,14 @@ class Flow(Commands):
 
         Seen from the other one, a body covers the hull of itself at both ends of its way.
         """
-        size, covered = self.scenario.vehicle, self.corners(car)
+        covered, sizes = self.corners(car), (self.size(car), self.size(other))
         back, aside = ((b - a) - (d - c) for a, b, c, d in zip(
             car.before, (car.position, car.lateral_position),
             other.before, (other.position, other.lateral_position), strict=True))  # fmt: skip
-        is_far = abs(back) > size.length or abs(aside) > size.width / 2
+        length, width = (sum(size) / 2 for size in zip(*sizes, strict=True))
+        is_far = abs(back) > length or abs(aside) > width / 2
         ahead = car.position - other.position
-        if min(ahead, ahead - back * is_far) > math.hypot(size.length, size.width):
+        if min(ahead, ahead - back * is_far) > sum(math.hypot(*size) / 2 for size in sizes):
             return False, False, False
         has_met = overlap_area(covered, self.corners(other)) > 1e-12
         if is_far and not has_met:
@@ -33,7 +34,6 @@ class Flow(Commands):
 
     def collide(self):
         """Record every pair of colliding rectangles, ordered by the front one, from the front."""
-        length = self.scenario.vehicle.length
         for rank, ahead in enumerate(self.cars):
             for behind in self.cars[rank + 1 :]:
                 is_hit, is_far, is_on_way = self.is_hit_by(ahead, behind)
@@ -47,6 +47,7 @@ class Flow(Commands):
                 before = front.position - rear.position + closing * self.scenario.time_step
                 if is_on_way:
                     before = front.before[0] - rear.before[0]
+                length = (self.size(rear)[0] + self.size(front)[0]) / 2
                 kind = CollisionKind.SIDE if abs(before) < length else CollisionKind.REAR_END
                 self.collisions.append(
                     {
@@ -105,7 +106,8 @@ class Flow(Commands):
                 term = self.interaction(car, front, profile, headway, a_m)
                 if term > 1.0 or self.gap(car, front) <= 0.0:
                     continue
-            car.desired_speed = self.random.uniform(*scenario.departures.desired_speed)
+            speeds = profile.desired_speed or scenario.departures.desired_speed
+            car.desired_speed = self.random.uniform(*speeds)
             names = [*SCRIPTED, *self.external_names]
             shares = {code: scenario.followers.mix.get(x, 0.0) for code, x in enumerate(names)}
             car.disposition = self.random.choose(shares)

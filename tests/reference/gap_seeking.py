@@ -13,13 +13,13 @@ class GapSeeking(Flow):
 
     def window(self, car, pace, front, rear):
         """Lowest and highest position at which the rule accepts the car at this pace."""
-        length, low, high = self.scenario.vehicle.length, -math.inf, math.inf
+        low, high, own = -math.inf, math.inf, self.size(car)[0]
         if front is not None:
             needed = self.needed(car, pace, pace - front.speed, car.desired_speed)
-            high = front.position - length - needed
+            high = front.position - (own + self.size(front)[0]) / 2 - needed
         if rear is not None:
             needed = self.needed(rear, rear.speed, rear.speed - pace, rear.desired_speed)
-            low = rear.position + length + needed
+            low = rear.position + (own + self.size(rear)[0]) / 2 + needed
         return low, high
 
     def aim(self, car, front, rear):

@@ -50,9 +50,14 @@ class Geometry:
         share = min(c * car.lateral_position, 0.5)
         return c * car.speed * math.cos(car.yaw) / (1.0 - share)
 
+    def size(self, car):
+        """Length and width of the car, its profile's or every vehicle's."""
+        own, every = self.scenario.drivers.profiles[car.profile], self.scenario.vehicle
+        return own.length or every.length, own.width or every.width
+
     def corners(self, car):
         """Corners of the rectangle, counter-clockwise."""
-        half_length, half_width = self.scenario.vehicle.length / 2, self.scenario.vehicle.width / 2
+        half_length, half_width = (size / 2 for size in self.size(car))
         cos, sin = math.cos(car.yaw), math.sin(car.yaw)
         return [
             (
@@ -64,7 +69,7 @@ class Geometry:
 
     def lanes_of(self, car):
         """The lanes that the body overlaps."""
-        pose = car.lateral_position, car.yaw
+        pose = car.lateral_position, car.yaw, car.profile
         if pose not in self.known_lanes:
             width, last = self.scenario.road.lane_width, self.scenario.road.num_lanes - 1
             across = [corner[1] for corner in self.corners(car)]
@@ -86,7 +91,7 @@ class Geometry:
         return next((other for other in rear if is_candidate(other)), None)
 
     def gap(self, rear, front):
-        return front.position - rear.position - self.scenario.vehicle.length
+        return front.position - rear.position - (self.size(rear)[0] + self.size(front)[0]) / 2
 
     @staticmethod
     def is_bound_for(car, lane):

@@ -146,7 +146,7 @@ class Roles(Driving):
 
     def grid(self, agent):
         """The cells of the occupancy grid by name, each looked at by itself."""
-        seen, size, length = {}, self.scenario.observation.grid, self.scenario.vehicle.length
+        seen, size = {}, self.scenario.observation.grid
         for lane in range(size.num_lanes) if size else ():
             place = agent.origin + agent.direction * (lane - size.num_lanes // 2)
             for stretch in range(size.num_stretches):
@@ -156,8 +156,8 @@ class Roles(Driving):
                     for car in self.cars
                     if car is not agent.car
                     and place in self.lanes_of(car)
-                    and car.position + length / 2 >= rear
-                    and car.position - length / 2 < rear + size.stretch
+                    and car.position + self.size(car)[0] / 2 >= rear
+                    and car.position - self.size(car)[0] / 2 < rear + size.stretch
                 ]
                 # Of several the one furthest behind.
                 faster = bodies[-1].speed - agent.car.speed if bodies else 0.0

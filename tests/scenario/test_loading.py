@@ -66,7 +66,7 @@ def test_what_is_not_named_keeps_its_default():
     scenario = load_scenario({"drivers": HASTY, "followers": CHANGES[2]["followers"]})
     aggressive = scenario.drivers.profiles["aggressive"]
     assert (aggressive.time_headway, aggressive.minimum_gap) == (0.5, 3.0)
-    assert set(scenario.drivers.profiles) == {"normal", "aggressive", "defensive"}
+    assert set(scenario.drivers.profiles) == {"normal", "aggressive", "defensive", "truck"}
     assert scenario.followers.learned.adversarial.delay_weight == 0.2
     assert scenario.followers.learned.adversarial.abort_weight == 1.0
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from staging import command, damped_actions, stage
+from staging import MIXED, TRUCK, command, damped_actions, stage
 
 from marl_lanes import Simulator, load_scenario
 from marl_lanes.traffic.counterfactual import accelerations_without_change
@@ -119,3 +119,17 @@ def test_in_traffic_they_drive_so_as_long_as_the_change_has_no_effect(name):
                 assert abs(driven[agent["vehicle"]] - found[0][env, slot]) < 1e-9
                 compared[0] += 1
     assert min(compared) > 50
+
+
+def test_gaps_are_those_of_the_vehicles_lengths():
+    """A changer behind a truck, a truck behind the changer that follows a car."""
+    scenario = load_scenario(PAPER, MIXED)
+    changer = {"lane": 1, "position": 300.0, "speed": 20.0, "lateral_position": 7.0}
+    truck = {"lane": 1, "position": 340.0, "speed": 15.0, "profile": TRUCK}
+    follower = {"lane": 2, "position": 260.0, "speed": 20.0, "profile": TRUCK}
+    leader = {"lane": 2, "position": 320.0, "speed": 18.0}
+    found = staged(changer, truck, follower, leader, scenario=scenario)
+    assert found[0][0] == pytest.approx(law(20.0, [(40.0 - 10.65, 15.0)]))
+    # s0 = 2 m, T = 2 s, a_m = 0.6 and b = 2 m/s^2 of the truck.
+    wanted = 2.0 + 20.0 * 2.0 + 20.0 * 2.0 / (2.0 * math.sqrt(1.2))
+    assert found[1][0] == pytest.approx(0.6 * (1.0 - (wanted / (60.0 - 10.65)) ** 2))

@@ -64,7 +64,7 @@ def test_shares_add_up_to_one():
     found = made(followers={"mix": mix}, drivers=drivers)
     # By disposition; the external ones come last, whatever their place in the mix.
     assert found.dispositions.tolist() == [0.5, 0.5, 0.875, 1.0]
-    assert found.profiles["share"].tolist() == [0.25, 0.25, 1.0]
+    assert found.profiles["share"].tolist() == [0.25, 0.25, 1.0, 1.0]
 
 
 def test_a_profile_brings_its_numbers_and_their_products():
@@ -93,3 +93,18 @@ def test_features_are_numbered_in_the_scenarios_order():
     other = made(observation={"features": ["speed", "yaw"]}).features
     assert one.dtype == np.int32
     assert one.tolist() == other[::-1].tolist()
+
+
+def test_the_size_and_the_speed_of_a_profile_are_its_own_or_the_scenarios():
+    drivers = {"mix": {"normal": 1.0, "truck": 1.0}, "profiles": {"truck": {"width": None}}}
+    found = made(drivers=drivers, vehicle={"length": 5.0, "width": 2.0})
+    normal, truck = found.profiles[0], found.profiles[3]
+    assert (normal["half_length"], normal["half_width"]) == (2.5, 1.0)
+    assert (truck["half_length"], truck["half_width"]) == (8.25, 1.0)
+    assert normal["desired_speed_high"] == pytest.approx(120.0 / 3.6)
+    assert truck["desired_speed_high"] == pytest.approx(90.0 / 3.6)
+    constants = found.constants[0]
+    assert constants["longest_diagonal"] == pytest.approx(math.hypot(16.5, 2.0))
+    assert (constants["shortest_length"], constants["narrowest_width"]) == (5.0, 2.0)
+    # Bodies that no vehicle has do not count.
+    assert made().constants[0]["longest_diagonal"] == pytest.approx(math.hypot(4.8, 1.8))

@@ -11,7 +11,7 @@ _WAITING = int(Phase.WAITING)
 
 
 @compiled
-def is_gap_wide(rear: Any, front: Any, constants: Any) -> bool:
+def is_gap_wide(rear: Any, front: Any, profiles: Any, constants: Any) -> bool:
     """Rule kinematic: gap >= d_min + tau v_rear + max(0, v_rear - v_front)^2/(2 b_max)."""
     closing = max(0.0, rear.speed - front.speed)
     needed = (
@@ -19,7 +19,7 @@ def is_gap_wide(rear: Any, front: Any, constants: Any) -> bool:
         + constants.gap_time * rear.speed
         + closing * closing / (2.0 * constants.gap_max_braking)
     )
-    return bool(bumper_gap(rear, front, constants) >= needed)
+    return bool(bumper_gap(rear, front, profiles) >= needed)
 
 
 @internal
@@ -28,16 +28,16 @@ def is_following_safe(rear: Any, front: Any, braking: float, profiles: Any, cons
 
     Source: the safety criterion of MOBIL; Kesting, Treiber, Helbing 2007, eq. 2.
     """
-    if bumper_gap(rear, front, constants) < constants.gap_minimum:
+    if bumper_gap(rear, front, profiles) < constants.gap_minimum:
         return False
-    return bool(follow_plainly(rear, front, profiles[rear.profile], constants) >= -braking)
+    return bool(follow_plainly(rear, front, profiles, constants) >= -braking)
 
 
 @internal
 def is_gap_safe(rear: Any, front: Any, braking: float, profiles: Any, constants: Any) -> bool:
     """Whether the scenario's gap rule holds between two vehicles, with b_safe = ``braking``."""
     if constants.is_gap_kinematic:
-        return bool(is_gap_wide(rear, front, constants))
+        return bool(is_gap_wide(rear, front, profiles, constants))
     return bool(is_following_safe(rear, front, braking, profiles, constants))
 
 

@@ -48,12 +48,12 @@ def car_following(
     acceleration = min(idm_acceleration(limit, free_road, 0.0, constants.is_sum_form), seeking)
     if agent.leader > NONE and is_body_in(car, agent.origin_lane):
         front = vehicles[agent.leader]
-        toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
+        toward = follow(car, front, free_road, limit, headway, scale, profiles, constants)
         acceleration = min(acceleration, toward)
     is_changing = agent.phase == _ENGAGED or is_body_in(car, agent.target_lane)
     if agent.target_leader > NONE and is_changing:
         front = vehicles[agent.target_leader]
-        toward = follow(car, front, free_road, limit, headway, scale, profile, constants)
+        toward = follow(car, front, free_road, limit, headway, scale, profiles, constants)
         acceleration = min(acceleration, max(toward, holding))
     acceleration = min(acceleration, comfortable_in_curves(car, profile, arcs, constants))
     return float(attainable(acceleration, car, constants))
@@ -71,10 +71,10 @@ def _accelerate_alone(
     car: Any, lane: Any, vehicles: Any, profiles: Any, arcs: Any, constants: Any
 ) -> float:
     """The acceleration of such a vehicle behind the last one seen in its lane [m/s^2]."""
-    profile = profiles[car.profile]
-    acceleration = drive_alone(car, profile, lane.nearest, vehicles, constants)
+    acceleration = drive_alone(car, lane.nearest, vehicles, profiles, constants)
     if arcs.shape[0] > 0:
-        acceleration = min(acceleration, comfortable_in_curves(car, profile, arcs, constants))
+        allowed = comfortable_in_curves(car, profiles[car.profile], arcs, constants)
+        acceleration = min(acceleration, allowed)
     return float(max(acceleration, -constants.max_braking))
 
 
@@ -122,19 +122,17 @@ def accelerate(
         prefetch(every_vehicle, after, rank * size, size)
         slot = order[rank]
         car = vehicles[slot]
-        profile = profiles[car.profile]
         acceleration = drive_among(
             rank, car, lanes, vehicles, order, count, agents, profiles, constants
         )
         if arcs.shape[0] > 0:
-            allowed = comfortable_in_curves(car, profile, arcs, constants)
+            allowed = comfortable_in_curves(car, profiles[car.profile], arcs, constants)
             acceleration = min(acceleration, allowed)
         if car.agent > NONE and constants.has_longitudinal:
             agents[car.agent].car_following = attainable(acceleration, car, constants)
             wanted = actions[car.agent, 1]
             acceleration = drive_by_action(
                 car,
-                profile,
                 wanted,
                 constants.longitudinal_max_acceleration,
                 constants.longitudinal_max_braking,
@@ -143,6 +141,7 @@ def accelerate(
                 lanes,
                 vehicles,
                 agents,
+                profiles,
                 arcs,
                 constants,
             )
@@ -152,7 +151,6 @@ def accelerate(
                 wanted = follower_actions[index, 0]
                 acceleration = drive_by_action(
                     car,
-                    profile,
                     wanted,
                     constants.external_max_acceleration,
                     constants.external_max_braking,
@@ -161,6 +159,7 @@ def accelerate(
                     lanes,
                     vehicles,
                     agents,
+                    profiles,
                     arcs,
                     constants,
                 )

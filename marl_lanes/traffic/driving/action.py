@@ -13,20 +13,22 @@ _ENGAGED = int(Phase.ENGAGED)
 
 
 @internal
-def _interaction(car: Any, front: Any, headway: float, scale: float, s0: float, c: Any) -> float:
+def _interaction(
+    car: Any, front: Any, headway: float, scale: float, s0: float, profiles: Any
+) -> float:
     """The interaction term toward ``front``."""
-    gap = bumper_gap(car, front, c)
+    gap = bumper_gap(car, front, profiles)
     return interaction_term(car.speed, gap, car.speed - front.speed, s0, headway, scale)
 
 
 @internal
 def _guard(
     car: Any,
-    profile: Any,
     limit: float,
     lanes: Any,
     vehicles: Any,
     agents: Any,
+    profiles: Any,
     arcs: Any,
     constants: Any,
 ) -> float:
@@ -42,15 +44,16 @@ def _guard(
     for lane in range(car.lane_low, car.lane_high + 1):
         front = lanes[lane].nearest
         if front > NONE:
-            term = _interaction(car, vehicles[front], headway, scale, s0, constants)
+            term = _interaction(car, vehicles[front], headway, scale, s0, profiles)
             interaction = max(interaction, term)
     if car.agent > NONE and agents[car.agent].phase == _ENGAGED:
         target = lanes[agents[car.agent].target_lane]
         for front in (target.nearest, target.nearest_engaged):
             if front > NONE:
-                term = _interaction(car, vehicles[front], headway, scale, s0, constants)
+                term = _interaction(car, vehicles[front], headway, scale, s0, profiles)
                 interaction = max(interaction, term)
-    lateral, braking = profile.comfortable_lateral_acceleration, constants.gap_max_braking
+    lateral = profiles[car.profile].comfortable_lateral_acceleration
+    braking = constants.gap_max_braking
     allowed = curve_acceleration(car, lateral, braking, arcs, constants)
     return float(min(limit * (1.0 - interaction), allowed))
 
@@ -58,7 +61,6 @@ def _guard(
 @internal
 def drive_by_action(
     car: Any,
-    profile: Any,
     action: float,
     max_acceleration: float,
     max_braking: float,
@@ -67,6 +69,7 @@ def drive_by_action(
     lanes: Any,
     vehicles: Any,
     agents: Any,
+    profiles: Any,
     arcs: Any,
     constants: Any,
 ) -> float:
@@ -78,6 +81,6 @@ def drive_by_action(
     room = (max_speed - car.speed) / constants.time_step
     acceleration = min(acceleration, max(room, 0.0))
     if is_guarded:
-        limit = _guard(car, profile, max_acceleration, lanes, vehicles, agents, arcs, constants)
+        limit = _guard(car, max_acceleration, lanes, vehicles, agents, profiles, arcs, constants)
         acceleration = min(acceleration, limit)
     return float(acceleration)

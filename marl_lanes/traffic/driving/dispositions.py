@@ -28,10 +28,11 @@ _ENGAGED = int(Phase.ENGAGED)
 
 
 @internal
-def drive_alone(car: Any, profile: Any, front: int, vehicles: Any, constants: Any) -> float:
+def drive_alone(car: Any, front: int, vehicles: Any, profiles: Any, constants: Any) -> float:
     """Plain car following behind one leader, or without a leader [m/s^2]."""
     if front > NONE:
-        return follow_plainly(car, vehicles[front], profile, constants)
+        return follow_plainly(car, vehicles[front], profiles, constants)
+    profile = profiles[car.profile]
     free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
     return idm_acceleration(profile.max_acceleration, free_road, 0.0, constants.is_sum_form)
 
@@ -44,29 +45,31 @@ def comfortable_in_curves(car: Any, profile: Any, arcs: Any, constants: Any) -> 
 
 
 @internal
-def yield_to(car: Any, profile: Any, changer: Any, constants: Any) -> float:
+def yield_to(car: Any, changer: Any, profiles: Any, constants: Any) -> float:
     """Car following of a cooperative driver behind its changer, with longer headway [m/s^2]."""
+    profile = profiles[car.profile]
     headway, scale = constants.cooperative_time_headway, profile.braking_scale
     free_road = free_road_term(car.speed, car.desired_speed, profile.exponent)
     limit = profile.max_acceleration
-    return follow(car, changer, free_road, limit, headway, scale, profile, constants)
+    return follow(car, changer, free_road, limit, headway, scale, profiles, constants)
 
 
 @internal
 def _toward_lane(
-    car: Any, profile: Any, desired_speed: float, lane: Any, vehicles: Any, constants: Any
+    car: Any, desired_speed: float, lane: Any, vehicles: Any, profiles: Any, constants: Any
 ) -> float:
     """The smallest acceleration toward the leaders in the lane and moving to it [m/s^2].
 
     With the parameters of the driver's profile, for every disposition; inf without a leader.
     """
+    profile = profiles[car.profile]
     headway, scale = profile.time_headway, profile.braking_scale
     free_road = free_road_term(car.speed, desired_speed, profile.exponent)
     limit, acceleration = profile.max_acceleration, math.inf
     for front in (lane.nearest, lane.nearest_engaged):
         if front > NONE:
             toward = follow(
-                car, vehicles[front], free_road, limit, headway, scale, profile, constants
+                car, vehicles[front], free_road, limit, headway, scale, profiles, constants
             )
             acceleration = min(acceleration, toward)
     return acceleration
@@ -114,20 +117,20 @@ def drive_among(
         front = lanes[lane].nearest
         if front > NONE:
             toward = follow(
-                car, vehicles[front], free_road, limit, headway, scale, profile, constants
+                car, vehicles[front], free_road, limit, headway, scale, profiles, constants
             )
             acceleration = min(acceleration, toward)
     if phase == _ENGAGED:
         lane = agents[car.agent].target_lane
-        beyond = _toward_lane(car, profile, own_speed, lanes[lane], vehicles, constants)
+        beyond = _toward_lane(car, own_speed, lanes[lane], vehicles, profiles, constants)
         acceleration = min(acceleration, max(beyond, holding))
     elif car.moving_over != 0:
-        beyond = _toward_lane(car, profile, own_speed, lanes[car.lane], vehicles, constants)
+        beyond = _toward_lane(car, own_speed, lanes[car.lane], vehicles, profiles, constants)
         acceleration = min(acceleration, beyond)
         # It makes room for a changer to its old lane, so it no longer brakes for that one.
         has_changer = has_changer and agents[vehicles[car.changer].agent].target_lane == car.lane
     if has_changer and car.disposition == _COOPERATIVE:
-        yielding = yield_to(car, profile, vehicles[car.changer], constants)
+        yielding = yield_to(car, vehicles[car.changer], profiles, constants)
         if not has_entered:
             yielding = max(yielding, -constants.cooperative_max_braking)
         acceleration = min(acceleration, yielding)

@@ -14,7 +14,7 @@ from marl_lanes.traffic.following.idm import free_road_term
 from marl_lanes.traffic.machine.compiled import compiled, internal
 from marl_lanes.traffic.machine.state import NONE, Phase
 from marl_lanes.traffic.road.geometry import is_body_in
-from marl_lanes.traffic.road.neighbors import neighbor_rank
+from marl_lanes.traffic.road.neighbors import mean_length, neighbor_rank
 
 _WAITING = int(Phase.WAITING)
 _ENGAGED = int(Phase.ENGAGED)
@@ -99,13 +99,13 @@ def _window(
         ahead = vehicles[order[front]]
         closing = pace - ahead.speed
         needed = needed_gap(pace, closing, car.desired_speed, profiles[car.profile], constants)
-        high = ahead.position - constants.vehicle_length - needed - car.position
+        high = ahead.position - mean_length(car, ahead, profiles) - needed - car.position
     if rear > NONE:
         behind = vehicles[order[rear]]
         closing = behind.speed - pace
         driver = profiles[behind.profile]
         needed = needed_gap(behind.speed, closing, behind.desired_speed, driver, constants)
-        low = behind.position + constants.vehicle_length + needed - car.position
+        low = behind.position + mean_length(car, behind, profiles) + needed - car.position
     return low, high
 
 
@@ -143,7 +143,7 @@ def aim_at(
 
 @internal
 def _time_to(
-    way: float, pace: float, car: Any, own: int, order: Any, vehicles: Any, profile: Any, c: Any
+    way: float, pace: float, car: Any, own: int, order: Any, vehicles: Any, profiles: Any, c: Any
 ) -> float:
     """Time to the window [s]; inf if it cannot be reached.
 
@@ -151,11 +151,13 @@ def _time_to(
     """
     if way == math.inf:
         return way
+    profile = profiles[car.profile]
     top = c.gap_speed_factor * car.desired_speed - pace if way > 0.0 else (1.0 - _SLOWEST) * pace
     time = travel_time(way, car.speed - pace, profile.comfortable_braking, top)
     if own > NONE and time < math.inf:
         leader = vehicles[order[own]]
-        room = leader.position + (leader.speed - pace) * time - c.vehicle_length - car.position
+        reach = leader.position + (leader.speed - pace) * time
+        room = reach - mean_length(car, leader, profiles) - car.position
         if way > room - profile.minimum_gap - pace * profile.time_headway:
             return math.inf
     return time
@@ -184,19 +186,18 @@ def seek_gap(
 
     The caller must limit it by car following behind the driver's own leader.
     """
-    profile = profiles[car.profile]
     own = neighbor_rank(rank, car.lane, -1, order, count, vehicles, agents)
     front = neighbor_rank(rank, lane, -1, order, count, vehicles, agents)
     nearest = neighbor_rank(rank, lane, 1, order, count, vehicles, agents)
     if front == NONE and nearest == NONE:
         return math.inf
     pace, way, aim = aim_at(car, front, nearest, order, vehicles, profiles, constants)
-    best = _time_to(way, pace, car, own, order, vehicles, profile, constants)
+    best = _time_to(way, pace, car, own, order, vehicles, profiles, constants)
     is_found, far = False, car.position + constants.sensor_range
     while front > NONE and not is_found and vehicles[order[front]].position < far:
         rear, front = front, neighbor_rank(front, lane, -1, order, count, vehicles, agents)
         speed, way, distance = aim_at(car, front, rear, order, vehicles, profiles, constants)
-        time = _time_to(way, speed, car, own, order, vehicles, profile, constants)
+        time = _time_to(way, speed, car, own, order, vehicles, profiles, constants)
         is_found = way < math.inf
         if time < best:
             best, aim, pace = time, distance, speed
@@ -204,14 +205,14 @@ def seek_gap(
     while front > NONE and not is_found and vehicles[order[front]].position > far:
         rear = neighbor_rank(front, lane, 1, order, count, vehicles, agents)
         speed, way, distance = aim_at(car, front, rear, order, vehicles, profiles, constants)
-        time = _time_to(way, speed, car, own, order, vehicles, profile, constants)
+        time = _time_to(way, speed, car, own, order, vehicles, profiles, constants)
         is_found = way < math.inf
         if time < best:
             best, aim, pace = time, distance, speed
         front = rear
     if best == math.inf:
         return best
-    return track(aim, pace, car, profile)
+    return track(aim, pace, car, profiles[car.profile])
 
 
 @internal

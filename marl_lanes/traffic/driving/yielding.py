@@ -66,12 +66,11 @@ def _has_reason(
 ) -> bool:
     """Whether the driver would brake for its changer, and harder than in the lane beyond."""
     car = vehicles[order[rank]]
-    profile = profiles[car.profile]
-    yielding = yield_to(car, profile, vehicles[car.changer], constants)
+    yielding = yield_to(car, vehicles[car.changer], profiles, constants)
     if yielding >= 0.0:
         return False
     leader = neighbor_in_lane(rank, lane, -1, order, count, vehicles, agents)
-    beyond = drive_alone(car, profile, leader, vehicles, constants)
+    beyond = drive_alone(car, leader, vehicles, profiles, constants)
     return bool(beyond > max(yielding, -constants.cooperative_max_braking))
 
 

@@ -7,6 +7,7 @@ from marl_lanes.traffic.machine.compiled import compiled, internal
 from marl_lanes.traffic.machine.convergence import converge
 from marl_lanes.traffic.machine.state import NONE, CollisionKind, Fate
 from marl_lanes.traffic.road.geometry import half_extent
+from marl_lanes.traffic.road.neighbors import mean_length
 
 STAYS = int(Fate.STAYS)
 LEAVES = int(Fate.LEAVES)
@@ -18,39 +19,45 @@ _SIDE = int(CollisionKind.SIDE)
 
 
 @internal
-def _is_separated(ahead: float, across: float, yaw: float, other: float, constants: Any) -> bool:
-    """Whether an axis of the rectangle at ``yaw`` separates it from the one at yaw ``other``."""
-    length, width = 0.5 * constants.vehicle_length, 0.5 * constants.vehicle_width
+def _is_separated(
+    ahead: float, across: float, yaw: float, other_yaw: float, body: Any, other: Any
+) -> bool:
+    """Whether an axis of the rectangle at ``yaw`` separates it from the one at ``other_yaw``.
+
+    ``body`` and ``other`` are the profiles with their sizes.
+    """
+    length, width = other.half_length, other.half_width
     cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
     along = abs(ahead * cos_yaw + across * sin_yaw)
     aside = abs(across * cos_yaw - ahead * sin_yaw)
-    cos_turn, sin_turn = abs(math.cos(other - yaw)), abs(math.sin(other - yaw))
+    cos_turn, sin_turn = abs(math.cos(other_yaw - yaw)), abs(math.sin(other_yaw - yaw))
     return bool(
-        along >= length + length * cos_turn + width * sin_turn
-        or aside >= width + length * sin_turn + width * cos_turn
+        along >= body.half_length + length * cos_turn + width * sin_turn
+        or aside >= body.half_width + length * sin_turn + width * cos_turn
     )
 
 
 @compiled
-def is_overlapping(rear: Any, front: Any, constants: Any) -> bool:
+def is_overlapping(rear: Any, front: Any, profiles: Any) -> bool:
     """Whether the two rectangles overlap (separating axes; touching is not overlapping)."""
     ahead = front.position - rear.position
     across = front.lateral_position - rear.lateral_position
-    if abs(across) >= half_extent(rear.yaw, constants) + half_extent(front.yaw, constants):
+    body, other = profiles[rear.profile], profiles[front.profile]
+    if abs(across) >= half_extent(rear.yaw, body) + half_extent(front.yaw, other):
         return False
     if rear.yaw == 0.0 and front.yaw == 0.0:
-        return bool(abs(ahead) < constants.vehicle_length)
-    return not _is_separated(ahead, across, rear.yaw, front.yaw, constants) and not _is_separated(
-        ahead, across, front.yaw, rear.yaw, constants
+        return bool(abs(ahead) < body.half_length + other.half_length)
+    return not _is_separated(ahead, across, rear.yaw, front.yaw, body, other) and not _is_separated(
+        ahead, across, front.yaw, rear.yaw, other, body
     )
 
 
 @internal
-def _half_width(x: float, y: float, yaw: float, constants: Any) -> float:
+def _half_width(x: float, y: float, yaw: float, profile: Any) -> float:
     """Half of a body's width along the axis (x, y), times the axis's length."""
     along, across = math.cos(yaw), math.sin(yaw)
     length, width = abs(x * along + y * across), abs(y * along - x * across)
-    return 0.5 * float(constants.vehicle_length * length + constants.vehicle_width * width)
+    return float(profile.half_length * length + profile.half_width * width)
 
 
 @internal
@@ -60,18 +67,16 @@ def _moves_aside(car: Any, constants: Any) -> float:
 
 
 @internal
-def _is_far(along: float, across: float, constants: Any) -> bool:
+def _is_far(along: float, across: float, length: float, width: float) -> bool:
     """Whether a relative motion is so long that only looking along it finds every contact.
 
-    It is more than a body's length along the road, or half its width across.
+    It is more than a body's ``length`` along the road, or half its ``width`` across [m].
     """
-    return bool(
-        abs(along) > constants.vehicle_length or abs(across) > 0.5 * constants.vehicle_width
-    )
+    return bool(abs(along) > length or abs(across) > 0.5 * width)
 
 
 @compiled
-def is_crossing(rear: Any, front: Any, along: float, across: float, constants: Any) -> bool:
+def is_crossing(rear: Any, front: Any, along: float, across: float, profiles: Any) -> bool:
     """Whether the two rectangles overlap anywhere in the step.
 
     As in the step, they first turn and then move. Separating axes of a segment, the way of the
@@ -82,8 +87,9 @@ def is_crossing(rear: Any, front: Any, along: float, across: float, constants: A
         front: the other one.
         along: how far ``front`` moved along the road, relative to ``rear`` [m].
         across: the same across the road [m].
-        constants: of the scenario.
+        profiles: of the drivers, with the sizes of the bodies.
     """
+    body, other = profiles[rear.profile], profiles[front.profile]
     ahead = front.position - rear.position
     beside = front.lateral_position - rear.lateral_position
     for axis in range(5):
@@ -94,7 +100,7 @@ def is_crossing(rear: Any, front: Any, along: float, across: float, constants: A
             x, y = math.cos(yaw), math.sin(yaw)
             if axis % 2 == 0:
                 x, y = -y, x
-        reach = _half_width(x, y, rear.yaw, constants) + _half_width(x, y, front.yaw, constants)
+        reach = _half_width(x, y, rear.yaw, body) + _half_width(x, y, front.yaw, other)
         after = x * ahead + y * beside
         before = after - (x * along + y * across)
         if min(before, after) >= reach or max(before, after) <= -reach:
@@ -104,7 +110,7 @@ def is_crossing(rear: Any, front: Any, along: float, across: float, constants: A
 
 @internal
 def _record(
-    road: Any, rear: Any, front: Any, before: float, agents: Any, record: Any, constants: Any
+    road: Any, rear: Any, front: Any, before: float, agents: Any, record: Any, profiles: Any
 ) -> None:
     """Fill in a record; |before| is their distance along the road before the step [m]."""
     record.step = road.step
@@ -113,7 +119,7 @@ def _record(
     record.rear_command = NONE if rear.agent == NONE else agents[rear.agent].command
     record.front_command = NONE if front.agent == NONE else agents[front.agent].command
     # They were side by side a step ago, so the contact is lateral.
-    record.kind = _SIDE if abs(before) < constants.vehicle_length else _REAR_END
+    record.kind = _SIDE if abs(before) < mean_length(rear, front, profiles) else _REAR_END
     record.position = rear.position
     record.closing_speed = rear.speed - front.speed
 
@@ -128,6 +134,7 @@ def _compare(
     order: Any,
     agents: Any,
     collisions: Any,
+    profiles: Any,
     constants: Any,
 ) -> None:
     """Record the vehicles within ``reach`` behind the one at ``rank`` that collide with it.
@@ -141,20 +148,22 @@ def _compare(
         if ahead >= reach:
             break
         before = ahead + (rear.speed - front.speed) * constants.time_step
-        is_hit, has_passed = is_overlapping(rear, front, constants), False
+        is_hit, has_passed = is_overlapping(rear, front, profiles), False
         if is_swept:
             along = front.advance - rear.advance
             across = _moves_aside(front, constants) - _moves_aside(rear, constants)
-            if _is_far(along, across, constants):
+            length = mean_length(rear, front, profiles)
+            width = profiles[rear.profile].half_width + profiles[front.profile].half_width
+            if _is_far(along, across, length, width):
                 has_passed = ahead < along
                 if not is_hit:
                     before = ahead - along
-                    is_hit = is_crossing(rear, front, along, across, constants)
+                    is_hit = is_crossing(rear, front, along, across, profiles)
         if is_hit:
             record = collisions[road.num_collisions % collisions.shape[0]]
             # The rear one is the one that was behind before the step.
             first, second = (front, rear) if has_passed else (rear, front)
-            _record(road, first, second, before, agents, record, constants)
+            _record(road, first, second, before, agents, record, profiles)
             road.num_collisions += 1
             rear.fate = COLLIDES
             front.fate = COLLIDES
@@ -169,21 +178,21 @@ def detect_collisions(
     order: Any,
     agents: Any,
     collisions: Any,
+    profiles: Any,
     constants: Any,
 ) -> bool:
     """Record every pair that collides in the step, and mark both vehicles.
 
     A pair collides if it overlaps after the step or, where ``_is_far`` holds for its relative
-    motion, anywhere in the step. ``along`` and ``across`` are the longest relative motions of any
-    two vehicles [m].
+    motion and its mean size, anywhere in the step. ``along`` and ``across`` are the longest
+    relative motions of any two vehicles [m].
 
     Returns:
         Whether there is such a pair.
     """
     num_before = road.num_collisions
-    length, width = constants.vehicle_length, constants.vehicle_width
-    reach = math.sqrt(length * length + width * width)
-    is_swept = _is_far(along, across, constants)
+    reach = constants.longest_diagonal
+    is_swept = _is_far(along, across, constants.shortest_length, constants.narrowest_width)
     if is_swept:
         reach += along
     position = vehicles[order[0]].position
@@ -197,7 +206,16 @@ def detect_collisions(
             rank += 1
         if ahead - position < reach:
             _compare(
-                road, rank - 2, reach, is_swept, vehicles, order, agents, collisions, constants
+                road,
+                rank - 2,
+                reach,
+                is_swept,
+                vehicles,
+                order,
+                agents,
+                collisions,
+                profiles,
+                constants,
             )
     return bool(road.num_collisions > num_before)
 

@@ -26,17 +26,19 @@ def schedule(road: Any, lane_record: Any, now: float, profiles: Any, constants: 
 
 
 @internal
-def has_room(front: Any, entering: Any, profile: Any, constants: Any) -> bool:
+def has_room(front: Any, entering: Any, profiles: Any) -> bool:
     """Whether the gap to the vehicle ahead is at least the driver's own desired gap s*."""
+    profile = profiles[entering.profile]
+    gap = bumper_gap(entering, front, profiles)
     term = interaction_term(
         entering.speed,
-        bumper_gap(entering, front, constants),
+        gap,
         entering.speed - front.speed,
         profile.minimum_gap,
         profile.time_headway,
         profile.braking_scale,
     )
-    return bool(term <= 1.0) and bumper_gap(entering, front, constants) > 0.0
+    return bool(term <= 1.0 and gap > 0.0)
 
 
 @internal
@@ -58,7 +60,7 @@ def _place(car: Any, lane: int, lane_record: Any, profiles: Any, arcs: Any, cons
     if arcs.shape[0] > 0:
         car.speed = entry_speed(car, profiles[car.profile], arcs, constants)
     car.yaw_rate = road_turn_rate(car, arcs)
-    occupy(car, half_extent(0.0, constants), constants)
+    occupy(car, half_extent(0.0, profiles[car.profile]), constants)
 
 
 @internal
@@ -119,10 +121,11 @@ def depart(
         _place(car, lane, lanes[lane], profiles, arcs, constants)
         count = road.num_vehicles
         front = neighbor_in_lane(count, lane, -1, order, count, vehicles, agents)
-        if front != NONE and not has_room(vehicles[front], car, profiles[car.profile], constants):
+        if front != NONE and not has_room(vehicles[front], car, profiles):
             continue
         car.id = road.num_entered
-        car.desired_speed = uniform(road, constants.desired_speed_low, constants.desired_speed_high)
+        profile = profiles[car.profile]
+        car.desired_speed = uniform(road, profile.desired_speed_low, profile.desired_speed_high)
         car.disposition = choice(road, dispositions)
         car.command_position = uniform(road, constants.command_low, constants.command_high)
         order[count] = slot

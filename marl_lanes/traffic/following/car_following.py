@@ -26,7 +26,7 @@ def follow(
     limit: float,
     headway: float,
     scale: float,
-    profile: Any,
+    profiles: Any,
     constants: Any,
 ) -> float:
     """Acceleration behind one leader [m/s^2].
@@ -38,10 +38,11 @@ def follow(
         limit: a_m [m/s^2].
         headway: T [s].
         scale: 2 sqrt(a_m b) [m/s^2].
-        profile: the driver's profile, for s0 and b.
+        profiles: the drivers' profiles, for s0, b and the lengths of the bodies.
         constants: the scenario's constants, for the law.
     """
-    gap = bumper_gap(car, front, constants)
+    profile = profiles[car.profile]
+    gap = bumper_gap(car, front, profiles)
     closing = car.speed - front.speed
     interaction = interaction_term(car.speed, gap, closing, profile.minimum_gap, headway, scale)
     acceleration = idm_acceleration(limit, free_road, interaction, constants.is_sum_form)
@@ -57,8 +58,9 @@ def follow(
 
 
 @internal
-def follow_plainly(car: Any, front: Any, profile: Any, constants: Any) -> float:
+def follow_plainly(car: Any, front: Any, profiles: Any, constants: Any) -> float:
     """``follow`` with the driver's own parameters [m/s^2]."""
+    profile = profiles[car.profile]
     return follow(
         car,
         front,
@@ -66,6 +68,6 @@ def follow_plainly(car: Any, front: Any, profile: Any, constants: Any) -> float:
         profile.max_acceleration,
         profile.time_headway,
         profile.braking_scale,
-        profile,
+        profiles,
         constants,
     )

@@ -71,18 +71,20 @@ def lane_centre(lane: int, lane_width: float) -> float:
 
 
 @internal
-def half_extent(yaw: float, constants: Any) -> float:
-    """Half of the body's width across the road: (l/2)|sin psi| + (w/2)|cos psi| [m]."""
+def half_extent(yaw: float, profile: Any) -> float:
+    """Half of the body's width across the road: (l/2)|sin psi| + (w/2)|cos psi| [m].
+
+    ``profile`` is that of the driver, which has the body's size.
+    """
     if yaw == 0.0:
-        return 0.5 * float(constants.vehicle_width)
-    return turned_extent(math.sin(yaw), math.cos(yaw), constants)
+        return float(profile.half_width)
+    return turned_extent(math.sin(yaw), math.cos(yaw), profile)
 
 
 @internal
-def turned_extent(sine: float, cosine: float, constants: Any) -> float:
+def turned_extent(sine: float, cosine: float, profile: Any) -> float:
     """``half_extent`` from the sine and cosine of psi [m]."""
-    across = constants.vehicle_length * abs(sine)
-    return 0.5 * float(across + constants.vehicle_width * abs(cosine))
+    return float(profile.half_length * abs(sine) + profile.half_width * abs(cosine))
 
 
 @internal

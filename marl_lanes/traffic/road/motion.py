@@ -8,7 +8,7 @@ from marl_lanes.traffic.road.geometry import curvature_at, half_extent, occupy, 
 
 
 @compiled
-def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
+def integrate(car: Any, turn_rate: float, profiles: Any, arcs: Any, constants: Any) -> float:
     """One semi-implicit Euler step of dt with the car's acceleration and yaw acceleration.
 
     v += a dt (not below 0); omega += alpha dt, |omega| <= v/R_min; psi += (omega - c s') dt;
@@ -29,7 +29,7 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
     if abs(car.yaw) + abs(car.yaw_rate) + abs(car.yaw_acceleration) + abs(turn_rate) == 0.0:
         car.advance = speed * step
         car.position += car.advance
-        return half_extent(0.0, constants)
+        return half_extent(0.0, profiles[car.profile])
     fastest = speed / constants.min_turning_radius
     yaw_rate = car.yaw_rate + car.yaw_acceleration * step
     if abs(yaw_rate) > fastest:
@@ -43,7 +43,7 @@ def integrate(car: Any, turn_rate: float, arcs: Any, constants: Any) -> float:
     car.advance = progress * step
     car.position += car.advance
     car.lateral_position += speed * sine * step
-    extent = turned_extent(sine, cosine, constants)
+    extent = turned_extent(sine, cosine, profiles[car.profile])
     occupy(car, extent, constants)
     return float(extent)
 

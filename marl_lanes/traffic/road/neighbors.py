@@ -123,7 +123,14 @@ def find_agent_neighbors(
     )
 
 
+@internal
+def mean_length(car: Any, other: Any, profiles: Any) -> Any:
+    """Mean length of two bodies: the distance of their centres where their bumpers touch [m]."""
+    return profiles[car.profile].half_length + profiles[other.profile].half_length
+
+
 @compiled
-def bumper_gap(rear: Any, front: Any, constants: Any) -> Any:
+def bumper_gap(rear: Any, front: Any, profiles: Any) -> Any:
     """Bumper-to-bumper distance [m], negative where the bodies overlap lengthwise."""
-    return front.position - rear.position - constants.vehicle_length
+    half_lengths = profiles[rear.profile].half_length + profiles[front.profile].half_length
+    return front.position - rear.position - half_lengths

@@ -14,6 +14,7 @@ from marl_lanes.traffic.driving.acceleration import car_following
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import AGENT, NONE, Outcome
 from marl_lanes.traffic.road.geometry import curvature_at, wrap_angle
+from marl_lanes.traffic.road.neighbors import mean_length
 from marl_lanes.traffic.roles.grid import grid_columns, observe_grid
 from marl_lanes.traffic.roles.role import (
     Dimension,
@@ -45,8 +46,10 @@ def _gap_to(other: int, car: Any, scene: Any) -> float:
     """Bumper-to-bumper gap, at most the sensor range; the sensor range without a neighbor [m]."""
     if other == NONE:
         return float(scene.constants.sensor_range)
-    distance = abs(scene.vehicles[other].position - car.position)
-    return float(min(distance - scene.constants.vehicle_length, scene.constants.sensor_range))
+    neighbor = scene.vehicles[other]
+    distance = abs(neighbor.position - car.position)
+    gap = distance - mean_length(car, neighbor, scene.profiles)
+    return float(min(gap, scene.constants.sensor_range))
 
 
 @internal

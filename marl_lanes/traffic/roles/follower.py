@@ -30,7 +30,7 @@ _COLLIDES = int(Fate.COLLIDES)
 def _leader_gap(agent: Any, driver: Any, scene: Any) -> float:
     if agent.target_leader == NONE:
         return float(scene.constants.sensor_range)
-    gap = bumper_gap(driver, scene.vehicles[agent.target_leader], scene.constants)
+    gap = bumper_gap(driver, scene.vehicles[agent.target_leader], scene.profiles)
     return float(min(gap, scene.constants.sensor_range))
 
 
@@ -57,7 +57,7 @@ FEATURES = (
         *("gap", "m", 20.0, 20.0, -20.0, 1e4),
         "to the changer",
         lambda agent, driver, changer, scene: min(
-            bumper_gap(driver, changer, scene.constants), scene.constants.sensor_range
+            bumper_gap(driver, changer, scene.profiles), scene.constants.sensor_range
         ),
     ),
     Feature(

@@ -36,11 +36,12 @@ def observe_grid(seen: Any, agent: Any, car: Any, scene: Any) -> None:
     num_lanes, num_stretches = constants.grid_lanes, constants.grid_stretches
     num_cells = num_lanes * num_stretches
     seen[:] = 0.0
-    size, half = constants.grid_stretch, 0.5 * constants.vehicle_length
+    size = constants.grid_stretch
     start = car.position - 0.5 * num_stretches * size
     for rank in range(scene.road.num_vehicles):
         slot = scene.order[rank]
         other = scene.vehicles[slot]
+        half = scene.profiles[other.profile].half_length
         first = math.floor((other.position - half - start) / size)
         last = math.floor((other.position + half - start) / size)
         if slot == agent.vehicle or last < 0 or first >= num_stretches:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from staging import command, damped_actions, simulator_of, stage
+from staging import MIXED, TRUCK, command, damped_actions, simulator_of, stage
 
 from marl_lanes.traffic.machine.state import Outcome, Phase
 from marl_lanes.traffic.simulator import Simulator
@@ -225,3 +225,23 @@ def test_no_vehicle_collides_in_busy_traffic(rule, form):
     assert simulator.roads["num_collisions"].sum() == 0
     assert completed > 300
     assert np.isfinite(simulator.vehicles["speed"]).all()
+
+
+@pytest.mark.parametrize("place", ["leader", "follower"])
+@pytest.mark.parametrize(("distance", "phase"), [(9.8, Phase.WAITING), (10.2, Phase.ENGAGED)])
+def test_the_gap_beside_a_truck_is_from_its_bumper(place, distance, phase):
+    """The rule kinematic needs 2 m + 0.4 s * 20 m/s between bumpers, 10.65 m within the bodies."""
+    simulator = simulator_of(**MIXED, gap={"rule": "kinematic"})
+    away = (10.65 + distance) * (1.0 if place == "leader" else -1.0)
+    keeping = {"speed": 20.0, "desired_speed": 20.0}
+    stage(
+        simulator,
+        {"lane": 1, "position": 200.0, **keeping},
+        {"lane": 2, "position": 200.0 + away, **keeping, "profile": TRUCK},
+    )
+    agent = command(simulator, 0, 1, Phase.WAITING)
+    simulator.step()
+    cars = simulator.vehicles[0, :2]
+    gap = abs(cars["position"][1] - cars["position"][0]) - 10.65
+    assert gap == pytest.approx(distance, abs=0.05)
+    assert simulator.agents[0, agent]["phase"] == phase

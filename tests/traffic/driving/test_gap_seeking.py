@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from staging import command, damped_actions, stage
+from staging import TRUCK, command, damped_actions, stage
 
 from marl_lanes.scenario import load_scenario
 from marl_lanes.traffic.driving.gap_seeking import aim_at, needed_gap, travel_time
@@ -211,3 +211,26 @@ def test_the_kinematic_gap_by_hand(closing, gap):
     scenario = load_scenario("paper", {"gap": {"rule": "kinematic"}})
     constants = make_parameters(scenario).constants.view(np.recarray)[0]
     assert on_columns(needed_gap)(20.0, closing, 30.0, None, constants) == pytest.approx(gap)
+
+
+@pytest.mark.parametrize(("own", "ahead", "behind"), [(0, TRUCK, 0), (TRUCK, 0, TRUCK)])
+def test_the_window_is_between_bumpers(own, ahead, behind):
+    """The rule kinematic needs 2 m + 0.4 s * 20 m/s; the aim is 3 m within the window's edge."""
+    simulator = simulator_of(gap={"rule": "kinematic"})
+    half = {0: 2.4, TRUCK: 8.25}
+    there = {"lane": 2, "speed": 20.0}
+    stage(
+        simulator,
+        {"lane": 1, "position": 200.0, "profile": own},
+        {**there, "position": 290.0, "profile": ahead},
+        {**there, "position": 210.0, "profile": behind},
+    )
+    profiles, constants = simulator.parameters.profiles, simulator.parameters.constants[0]
+    order = simulator.state.order[0]
+    _, way, aim = aims(simulator.vehicles[0], 0, 1, order, profiles, constants)
+    assert way == pytest.approx(210.0 + half[behind] + 10.0 + half[own] - 200.0)
+    assert aim == pytest.approx(way + 3.0)
+    _, way, _ = aims(simulator.vehicles[0], 0, -1, order, profiles, constants)
+    assert way == 0.0
+    _, way, aim = aims(simulator.vehicles[0], 1, -1, order, profiles, constants)
+    assert way == pytest.approx(210.0 - half[behind] - 10.0 - half[own] - 200.0)

@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 from reference.geometry import hull, overlap_area
-from reference.records import Car
 from reference.road import Road
-from staging import command, simulator_of, stage
+from staging import MIXED, TRUCK, command, pose_of, simulator_of, stage
 
 from marl_lanes.traffic.flow.collisions import is_crossing, is_overlapping
 from marl_lanes.traffic.machine.state import NUM_COLLISION_RECORDS, CollisionKind, Outcome
@@ -24,44 +23,46 @@ def set_pose(row, position, lateral, yaw):
 
 
 def corners(simulator, row):
-    pose = {name: row[name] for name in Car.__annotations__ if name in row.dtype.names}
-    return Road(simulator.scenario).corners(Car(**pose, slot=0))
+    return Road(simulator.scenario).corners(pose_of(simulator, row))
 
 
 def test_overlap_agrees_with_polygon_clipping():
     simulator = simulator_of()
-    constants = simulator.parameters.constants[0]
+    profiles = simulator.parameters.profiles
     rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
     generator = np.random.default_rng(0)
     counts = [0, 0]
     for trial in range(4000):
         yaws = generator.uniform(-1.5, 1.5, 2) if trial % 4 else np.zeros(2)
+        rear["profile"], front["profile"] = generator.choice([0, TRUCK], 2)
+        reach = 6.0 if rear["profile"] == front["profile"] == 0 else 13.0
         set_pose(rear, 0.0, 5.0, yaws[0])
-        set_pose(front, generator.uniform(0.0, 6.0), 5.0 + generator.uniform(-5.0, 5.0), yaws[1])
+        set_pose(front, generator.uniform(0.0, reach), 5.0 + generator.uniform(-5.0, 5.0), yaws[1])
         area = overlap_area(corners(simulator, rear), corners(simulator, front))
-        is_hit = is_overlapping(rear, front, constants)
+        is_hit = is_overlapping(rear, front, profiles)
         assert is_hit == (area > 0.0)
-        assert is_hit == is_overlapping(front, rear, constants)
+        assert is_hit == is_overlapping(front, rear, profiles)
         counts[is_hit] += 1
     assert min(counts) > 800
 
 
 def test_crossing_agrees_with_clipping_the_hull_of_the_way():
     simulator = simulator_of()
-    constants = simulator.parameters.constants[0]
+    profiles = simulator.parameters.profiles
     rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
     generator = np.random.default_rng(1)
     counts = [0, 0]
     for trial in range(3000):
         yaws = generator.uniform(-1.5, 1.5, 2) if trial % 4 else np.zeros(2)
+        rear["profile"], front["profile"] = generator.choice([0, TRUCK], 2)
         set_pose(rear, 0.0, 5.0, yaws[0])
         set_pose(front, generator.uniform(-9.0, 9.0), generator.uniform(-4.0, 14.0), yaws[1])
         along, across = generator.uniform(-15.0, 15.0), generator.uniform(-9.0, 9.0)
         body = corners(simulator, front)
         way = hull(body + [(x - along, y - across) for x, y in body])
         is_hit = bool(overlap_area(way, corners(simulator, rear)) > 0.0)
-        assert is_crossing(rear, front, along, across, constants) == is_hit
-        assert is_crossing(front, rear, -along, -across, constants) == is_hit
+        assert is_crossing(rear, front, along, across, profiles) == is_hit
+        assert is_crossing(front, rear, -along, -across, profiles) == is_hit
         counts[is_hit] += 1
     assert min(counts) > 500
 
@@ -114,8 +115,8 @@ def test_a_vehicle_that_crosses_a_neighbor_sideways_in_a_step_collides_with_it(o
     simulator.step()
     crossing, other = simulator.vehicles[0, :2]
     assert crossing["lateral_position"] - other["lateral_position"] > 3.2
-    constants = simulator.parameters.constants[0]
-    assert not is_overlapping(crossing, other, constants)
+    profiles = simulator.parameters.profiles
+    assert not is_overlapping(crossing, other, profiles)
     assert simulator.roads["num_collided"][0] == (2 if is_hit else 0)
     if is_hit:
         record = newest(simulator)
@@ -125,7 +126,7 @@ def test_a_vehicle_that_crosses_a_neighbor_sideways_in_a_step_collides_with_it(o
 
 def test_touching_is_not_overlapping():
     simulator = simulator_of()
-    constants = simulator.parameters.constants[0]
+    profiles = simulator.parameters.profiles
     rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
     set_pose(rear, 0.0, 0.0, 0.0)
     for position, lateral, expected in (
@@ -135,7 +136,7 @@ def test_touching_is_not_overlapping():
         (0.0, 1.799, True),
     ):
         set_pose(front, position, lateral, 0.0)
-        assert is_overlapping(rear, front, constants) == expected
+        assert is_overlapping(rear, front, profiles) == expected
 
 
 def test_a_rear_end_collision_is_recorded_with_vehicles_and_kind():
@@ -242,3 +243,77 @@ def test_a_turned_rectangle_reaches_as_far_as_its_corners():
     assert extent > 1.875
     car = simulator.vehicles[0, 0]
     assert (car["lane_low"], car["lane_high"]) == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("behind", "ahead", "length", "width"),
+    [(0, TRUCK, 10.65, 2.175), (TRUCK, 0, 10.65, 2.175), (TRUCK, TRUCK, 16.5, 2.55)],
+)
+def test_bodies_of_two_sizes_touch_at_half_of_each(behind, ahead, length, width):
+    simulator = simulator_of()
+    rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
+    rear["profile"], front["profile"] = behind, ahead
+    set_pose(rear, 0.0, 0.0, 0.0)
+    for position, lateral, expected in (
+        (length + 1e-6, 0.0, False),
+        (length - 1e-6, 0.0, True),
+        (0.0, width + 1e-6, False),
+        (0.0, width - 1e-6, True),
+    ):
+        set_pose(front, position, lateral, 0.0)
+        assert is_overlapping(rear, front, simulator.parameters.profiles) == expected
+
+
+@pytest.mark.parametrize(("distance", "num_hit"), [(10.7, 0), (10.6, 2)])
+@pytest.mark.parametrize("ahead", [0, TRUCK])
+def test_a_car_and_a_truck_collide_where_their_bumpers_meet(ahead, distance, num_hit):
+    """Their centres are 2.4 m + 8.25 m apart then; both stand."""
+    simulator = simulator_of(**MIXED)
+    still = {"lane": 1, "speed": 0.0, "desired_speed": 1e-3}
+    places = {TRUCK - ahead: 100.0, ahead: 100.0 + distance}
+    stage(simulator, *({**still, "position": at, "profile": who} for who, at in places.items()))
+    simulator.step()
+    assert simulator.roads["num_collided"][0] == num_hit
+
+
+def test_a_car_beside_a_trucks_tail_collides_with_its_side():
+    """Its centre is 9 m behind that of the truck: bodies of its own length would not be beside."""
+    simulator = simulator_of(**MIXED)
+    stage(
+        simulator,
+        {"lane": 2, "position": 109.0, "profile": TRUCK},
+        {"lane": 1, "position": 100.0, "lateral_position": 7.1, "yaw": 0.1},
+    )
+    simulator.step()
+    assert simulator.roads["num_collided"][0] == 2
+    assert newest(simulator)["kind"] == CollisionKind.SIDE
+
+
+def test_a_truck_occupies_more_lanes_than_a_car():
+    """Its half width is 1.275 m, and 0.9 m that of a car; turned, its corners reach further."""
+    simulator = simulator_of(**MIXED)
+    near = {"lane": 1, "lateral_position": 6.4, "speed": 0.0}
+    turned = {"lane": 1, "yaw": 0.2, "speed": 0.0}
+    places = ((near, 100.0), (turned, 200.0))
+    cars = [{**pose, "position": at, "profile": 0} for pose, at in places]
+    trucks = [{**pose, "position": at + 50.0, "profile": TRUCK} for pose, at in places]
+    stage(simulator, *cars, *trucks)
+    simulator.step()
+    found = simulator.vehicles[0, :4]
+    # 8.25 sin(0.2) + 1.275 cos(0.2) = 2.89 m, and 1.36 m for a car; a lane's edge is 1.875 m away.
+    assert found["lane_low"].tolist() == [1, 1, 1, 0]
+    assert found["lane_high"].tolist() == [1, 1, 2, 2]
+
+
+def test_a_truck_leaves_the_road_with_its_own_corner():
+    simulator = simulator_of(**MIXED)
+    pose = {"lane": 0, "lateral_position": 1.8, "yaw": 0.1, "speed": 5.0}
+    stage(
+        simulator,
+        {**pose, "position": 100.0, "profile": 0},
+        {**pose, "position": 200.0, "profile": TRUCK},
+    )
+    simulator.step()
+    # 8.25 sin(0.1) + 1.275 cos(0.1) = 2.09 m from the centre, and 1.14 m for a car.
+    assert simulator.roads["num_off_road"][0] == 1
+    assert simulator.vehicles[0, 0]["id"] >= 0

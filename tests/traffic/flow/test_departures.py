@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from staging import assert_conserved, present, stage
+from staging import MIXED, TRUCK, assert_conserved, present, stage
 
 from marl_lanes.traffic.simulator import Simulator
 
@@ -152,3 +152,38 @@ def test_the_warm_up_is_as_long_as_the_scenario_says():
     assert short.vehicles["position"][present(short)].max() < 250.0
     assert long.vehicles["position"][present(long)].max() > 400.0
     assert long.roads["num_entered"].mean() > 2.5 * short.roads["num_entered"].mean()
+
+
+@pytest.mark.parametrize(
+    ("ahead", "entering", "needed"),
+    # s* = s0 + 10 m/s T at equal speeds: 15 m for a car, 22 m for a truck; and half of each length.
+    [(0, 0, 19.8), (TRUCK, 0, 25.65), (0, TRUCK, 32.65), (TRUCK, TRUCK, 38.5)],
+)
+def test_who_enters_keeps_its_gap_to_the_tail_of_the_vehicle_ahead(ahead, entering, needed):
+    for place, is_free in ((needed - 0.01, False), (needed + 0.01, True)):
+        overrides = {**NO_COMMANDS, **MIXED, "warmup": [0.0, 0.0]}
+        simulator = Simulator("paper", overrides=overrides, seed=0)
+        simulator.reset()
+        # Free roads and speeds as desired: the vehicle ahead keeps its speed.
+        keeping = {"speed": 10.0, "desired_speed": 10.0, "profile": ahead}
+        stage(simulator, {"lane": 1, "position": place - 1.0, **keeping})
+        lane = simulator.state.lanes[0, 1:2]
+        lane["next_departure"], lane["next_speed"], lane["next_profile"] = -1.0, 10.0, entering
+        simulator.step()
+        assert simulator.vehicles[0, 0]["position"] == pytest.approx(place)
+        assert (simulator.roads["num_vehicles"][0] == 2) == is_free
+        if is_free:
+            low, high = (80.0, 90.0) if entering == TRUCK else (80.0, 120.0)
+            assert low <= 3.6 * simulator.vehicles[0, 1]["desired_speed"] <= high
+
+
+def test_every_profile_has_its_range_of_desired_speeds():
+    overrides = {**NO_COMMANDS, **MIXED}
+    simulator = Simulator("dense", 20, seed=1, overrides=overrides)
+    simulator.reset()
+    cars = simulator.vehicles[present(simulator)]
+    for profile, low, high in ((0, 80.0, 120.0), (TRUCK, 80.0, 90.0)):
+        speeds = 3.6 * cars["desired_speed"][cars["profile"] == profile]
+        assert speeds.size > 100
+        assert low - 1e-9 <= speeds.min() < low + 1.0
+        assert high - 1.0 < speeds.max() <= high

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from staging import command, simulator_of, stage
+from staging import TRUCK, command, simulator_of, stage
 
 from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.road.neighbors import bumper_gap
@@ -90,5 +90,20 @@ def test_the_gap_is_from_bumper_to_bumper(distance, gap):
     simulator = simulator_of()
     stage(simulator, {"lane": 1, "position": 50.0}, {"lane": 1, "position": 50.0 + distance})
     rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
-    constants = simulator.parameters.constants[0]
-    assert bumper_gap(rear, front, constants) == pytest.approx(gap, abs=1e-12)
+    profiles = simulator.parameters.profiles
+    assert bumper_gap(rear, front, profiles) == pytest.approx(gap, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("behind", "ahead", "gap"), [(0, TRUCK, 30.0 - 10.65), (TRUCK, 0, 19.35), (TRUCK, TRUCK, 13.5)]
+)
+def test_the_gap_is_between_half_of_each_length(behind, ahead, gap):
+    """A car has 4.8 m, a truck 16.5 m."""
+    simulator = simulator_of()
+    stage(
+        simulator,
+        {"lane": 1, "position": 50.0, "profile": behind},
+        {"lane": 1, "position": 80.0, "profile": ahead},
+    )
+    rear, front = simulator.vehicles[0, 0], simulator.vehicles[0, 1]
+    assert bumper_gap(rear, front, simulator.parameters.profiles) == pytest.approx(gap)

@@ -1,7 +1,7 @@
 """The occupancy grid around a changer."""
 
 import pytest
-from staging import command, simulator_of, stage
+from staging import MIXED, TRUCK, command, simulator_of, stage
 
 from marl_lanes.scenario import ScenarioError, load_scenario
 from marl_lanes.traffic.roles.changer import CHANGER
@@ -45,6 +45,21 @@ def test_a_vehicle_is_in_every_cell_that_its_body_overlaps(direction):
     assert speed[2, 0] == pytest.approx(cars["speed"][1] - cars["speed"][0], abs=1e-6)
     assert speed[0, 2] == speed[0, 3] != 0.0
     assert not speed[occupied == 0].any()
+
+
+def test_a_truck_is_in_more_cells_than_a_car():
+    simulator = simulator_of(**MIXED, observation={"features": ["yaw"], "grid": GRID})
+    still = {"speed": 0.0, "desired_speed": 0.01}
+    stage(
+        simulator,
+        {"lane": 1, "position": 100.0, **still},
+        # Its body of 16.5 m begins 8.25 m behind its centre: 1.25 m behind that of the car.
+        {"lane": 2, "position": 107.0, "profile": TRUCK, **still},
+    )
+    agent = command(simulator, 0, 1)
+    simulator.step()
+    occupied = simulator.state.observations[0, agent, 1:].reshape(2, 3, 4)[0]
+    assert occupied.tolist() == [[0, 0, 0, 0], [0, 0, 0, 0], [0, 1, 1, 1]]
 
 
 @pytest.mark.parametrize(
