@@ -5,7 +5,7 @@ from scipy import ndimage
 
 from marl_lanes import load_scenario
 from marl_lanes.rendering.palette import CHANGER, VEHICLE
-from marl_lanes.trajectory.columns import new_rows
+from marl_lanes.trajectory.columns import new_rows, set_bodies
 from marl_lanes.trajectory.frames import Frame
 
 STRAIGHT = load_scenario("paper")
@@ -28,6 +28,7 @@ def make_frame(*cars, scenario=STRAIGHT, step=0, road=0):
         row["speed"] = 25.0
         for name, value in car.items():
             row[name] = value
+    set_bodies(rows, scenario)
     return Frame(scenario, road, step, rows)
 
 

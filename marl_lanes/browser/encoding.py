@@ -4,7 +4,8 @@ Header and chunks are JSON. A file holds all steps in one chunk; a live stream s
 and then chunks of later steps, which the page appends to the same store.
 
 The header is ``{format, scenario, description, policy, seed, version, road, time_step, num_lanes,
-lane_width, road_length, vehicle_length, vehicle_width, max_braking, brake_light, line, columns}``.
+lane_width, road_length, bodies, max_braking, brake_light, line, columns}``. ``bodies`` lists the
+``{length, width}`` of a vehicle by its code of ``profile``.
 ``line`` has arrays ``position``, ``x``, ``y``, ``heading``: points of the road's right edge; the
 page interpolates between them. ``columns`` lists ``{name, type, unit, meaning, quantum,
 is_optional, names}``, as in ``trajectory/columns.py``; ``quantum`` is null for whole numbers.
@@ -32,14 +33,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.trajectory.columns import COLUMNS, Column
+from marl_lanes.trajectory.columns import READ, Column
 from marl_lanes.trajectory.events import Event
 from marl_lanes.trajectory.frames import Rows
 from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
 from marl_lanes.trajectory.road_line import RoadLine
 from marl_lanes.trajectory.signals import BRAKE_LIGHT
 
-FORMAT = 1
+FORMAT = 2
 """Number of the form above."""
 
 QUANTA = {
@@ -54,7 +55,7 @@ QUANTA = {
 """Steps in which real numbers are kept, by unit; all are finer than what one can see."""
 
 ENCODED: tuple[Column, ...] = tuple(
-    column for column in COLUMNS if column.name not in ("road", "time")
+    column for column in READ if column.name not in ("road", "time")
 )
 """The columns of a chunk. The road is one, and the time is the step times the time step."""
 
@@ -85,8 +86,10 @@ def encode_header(metadata: Metadata, road: int) -> dict[str, Any]:
         "num_lanes": scenario.road.num_lanes,
         "lane_width": scenario.road.lane_width,
         "road_length": scenario.road.length,
-        "vehicle_length": scenario.vehicle.length,
-        "vehicle_width": scenario.vehicle.width,
+        "bodies": [
+            dict(zip(("length", "width"), scenario.body_of(name), strict=True))
+            for name in scenario.drivers.profiles
+        ],
         "max_braking": scenario.vehicle.max_braking,
         "brake_light": BRAKE_LIGHT,
         "line": _encode_line(RoadLine(scenario)),

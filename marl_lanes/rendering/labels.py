@@ -39,7 +39,6 @@ class Labels:
         self._layout = layout
         self._camera = camera
         self._lettering = lettering
-        self._half_length = 0.5 * scenario.vehicle.length
 
     def draw(
         self,
@@ -109,15 +108,16 @@ class Labels:
         surface: "pygame.Surface",
         text: str,
         at: tuple[float, float],
+        body: tuple[float, float],
         colour: Colour,
         cars: list["pygame.Rect"],
     ) -> None:
-        """A label at a vehicle, where it covers no vehicle; if there is no such place, above it."""
+        """A label at a vehicle, where it covers no vehicle; if there is no such place, above it.
+
+        ``body`` is the vehicle's length and width [m].
+        """
         x, y = at
-        length, width = (
-            size * self._camera.scale
-            for size in (self._scenario.vehicle.length, self._scenario.vehicle.width)
-        )
+        length, width = (size * self._camera.scale for size in body)
         places: list[tuple[Anchor, tuple[float, float]]] = [
             ("midbottom", (x, y - 0.75 * width)),
             ("midtop", (x, y + 0.75 * width)),
@@ -150,14 +150,15 @@ class Labels:
             x, y, _ = (float(value) for value in self._camera.place(position, lateral))
             colour = OUTCOMES[incident.outcome]
             if incident.outcome in (Outcome.COLLISION, Outcome.OFF_ROAD):
-                radius = 1.3 * self._half_length + _RING_SPEED * (frame.time - incident.time)
+                radius = 0.65 * incident.length + _RING_SPEED * (frame.time - incident.time)
                 pixels = radius * self._camera.scale
                 surface.set_clip(self._layout.camera)
                 pygame.draw.aacircle(surface, colour, (x, y), pixels, max(round(pixels / 10), 2))
                 surface.set_clip(None)
             who = f"changer_{incident.command} " if incident.command != NONE else ""
             name = incident.outcome.name.lower().replace("_", " ")
-            self._put_beside(surface, who + name, (x, y), colour, cars)
+            body = incident.length, incident.width
+            self._put_beside(surface, who + name, (x, y), body, colour, cars)
 
     def _label_agents(
         self, surface: "pygame.Surface", frame: Frame, focus: Focus, cars: list["pygame.Rect"]
@@ -170,7 +171,8 @@ class Labels:
         for row, column, line in sorted(labelled, key=lambda one: one[0] != focus.row):
             command, phase = rows["command"][row], Phase(int(rows["phase"][row]))
             text = f"changer_{command}" if row == focus.row else f"{command}"
-            self._put_beside(surface, text, (column, line), PHASES[phase], cars)
+            body = float(rows["length"][row]), float(rows["width"][row])
+            self._put_beside(surface, text, (column, line), body, PHASES[phase], cars)
 
     def _measure_gap(self, surface: "pygame.Surface", gap: Gap) -> None:
         """The metres of the gap's distances, where the text is shorter than its line."""

@@ -103,11 +103,12 @@ class Painter:
         Returns:
             its number; None where there is no vehicle.
         """
-        rows, view, reach = frame.rows, self.layout.camera, _REACH
+        rows, view = frame.rows, self.layout.camera
+        reach = np.full(rows.size, _REACH)
         if view.collidepoint(place):
             x, y, _ = self.camera.place(rows["position"], rows["lateral_position"])
             x, y = x + view.left, y + view.top
-            reach = max(0.5 * frame.scenario.vehicle.length * self.camera.scale, reach)
+            reach = np.maximum(0.5 * rows["length"] * self.camera.scale, reach)
         else:
             x, y = self._strips.place(rows)
         distance = np.hypot(x - place[0], y - place[1])

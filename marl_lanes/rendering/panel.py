@@ -140,8 +140,9 @@ class Panel:
         found = np.flatnonzero(rows["vehicle"] == row[name])
         if row[name] == NONE or not found.size:
             return "free"
-        distance = abs(float(rows["position"][found[0]]) - float(row["position"]))
-        return f"{distance - self._scenario.vehicle.length:.1f} m"
+        other = rows[found[0]]
+        distance = abs(float(other["position"]) - float(row["position"]))
+        return f"{distance - 0.5 * (row['length'] + other['length']):.1f} m"
 
     def _draw_reward(self, part: "_Part", frame: Frame, focus: Focus) -> None:
         part.write("Reward of the step", TEXT)

@@ -53,7 +53,7 @@ def find_looks(rows: Rows, time: float) -> list[Look]:
     return list(map(Look, *(column.tolist() for column in columns)))
 
 
-def find_gap(scenario: Scenario, rows: Rows, row: int, camera: Camera) -> Gap | None:
+def find_gap(rows: Rows, row: int, camera: Camera) -> Gap | None:
     """The gap between the target follower and the target leader of an agent.
 
     Where there is none, the gap reaches to the end of the picture. None without a command.
@@ -61,7 +61,7 @@ def find_gap(scenario: Scenario, rows: Rows, row: int, camera: Camera) -> Gap | 
     agent = rows[row]
     if agent["phase"] == Phase.ABSENT:
         return None
-    half, position = 0.5 * scenario.vehicle.length, float(agent["position"])
+    position, half = float(agent["position"]), 0.5 * float(agent["length"])
     rear, front = camera.reach
     distances = []
     follower, leader = (
@@ -69,10 +69,12 @@ def find_gap(scenario: Scenario, rows: Rows, row: int, camera: Camera) -> Gap | 
         for name in ("target_follower", "target_leader")
     )
     if follower.size:
-        rear = float(rows["position"][follower[0]]) + half
+        behind = rows[follower[0]]
+        rear = float(behind["position"] + 0.5 * behind["length"])
         distances.append((rear, position - half))
     if leader.size:
-        front = float(rows["position"][leader[0]]) - half
+        ahead = rows[leader[0]]
+        front = float(ahead["position"] - 0.5 * ahead["length"])
         distances.append((position + half, front))
     is_accepted = agent["phase"] == Phase.ENGAGED
     return Gap(
@@ -102,8 +104,10 @@ class Scene:
         self._place = layout.camera
         self._camera = camera
         self._ground = Ground(scenario, camera)
-        body = scenario.vehicle
-        self._sprites = Sprites(body.length * camera.scale, body.width * camera.scale)
+        self._sprites = [
+            Sprites(length * camera.scale, width * camera.scale)
+            for length, width in map(scenario.body_of, scenario.drivers.profiles)
+        ]
         self._labels = Labels(scenario, layout, camera, lettering)
 
     def draw(
@@ -111,19 +115,25 @@ class Scene:
     ) -> None:
         """Draw the view into its place on the whole picture."""
         rows, camera = frame.rows, self._camera
-        gap = None if focus.row is None else find_gap(self._scenario, rows, focus.row, camera)
+        gap = None if focus.row is None else find_gap(rows, focus.row, camera)
         view = surface.subsurface(self._place)
         self._ground.draw(view, None if gap is None else gap.lane, gap)
         cars = self._find_cars(rows)
-        looks = find_looks(rows[cars.rows], frame.time)
-        found = map(self._sprites.find, looks, cars.x, cars.y, cars.angles)
-        view.fblits(list(found), pygame.BLEND_PREMULTIPLIED)
-        self._labels.draw(surface, frame, focus, incidents, gap, self._cover(cars))
+        seen = rows[cars.rows]
+        looks = find_looks(seen, frame.time)
+        found = [
+            self._sprites[profile].find(*one)
+            for profile, *one in zip(
+                seen["profile"].tolist(), looks, cars.x, cars.y, cars.angles, strict=True
+            )
+        ]
+        view.fblits(found, pygame.BLEND_PREMULTIPLIED)
+        self._labels.draw(surface, frame, focus, incidents, gap, self._cover(cars, seen))
 
     def _find_cars(self, rows: Rows) -> Cars:
         camera = self._camera
         x, y, heading = camera.place(rows["position"], rows["lateral_position"])
-        margin = self._sprites.length
+        margin = camera.scale * rows["length"]
         is_seen = (x > -margin) & (x < camera.size[0] + margin)
         is_seen &= (y > -margin) & (y < camera.size[1] + margin)
         # A road may turn so far that another piece of it would be in the picture.
@@ -132,11 +142,11 @@ class Scene:
         angle = (heading + rows["yaw"])[seen]
         return Cars(seen.tolist(), x[seen].tolist(), y[seen].tolist(), angle.tolist())
 
-    def _cover(self, cars: Cars) -> list["pygame.Rect"]:
+    def _cover(self, cars: Cars, rows: Rows) -> list["pygame.Rect"]:
         """Upright rectangles around the vehicles."""
         angles: NDArray[np.float64] = np.asarray(cars.angles)
         cosine, sine = np.abs(np.cos(angles)), np.abs(np.sin(angles))
-        length, width = self._sprites.length, self._sprites.width
+        length, width = (self._camera.scale * rows[name] for name in ("length", "width"))
         wide = np.ceil(length * cosine + width * sine).astype(int).tolist()
         tall = np.ceil(length * sine + width * cosine).astype(int).tolist()
         return [

@@ -14,6 +14,10 @@ HOLD_TIME = 2.0
 """[s] An outcome is shown for so long, and the camera stays."""
 
 
+_PLACE = ("position", "lateral_position", "length", "width")
+"""Columns of an incident."""
+
+
 class Incident(NamedTuple):
     """A command's outcome, or the loss of a vehicle."""
 
@@ -26,6 +30,9 @@ class Incident(NamedTuple):
     position: float
     lateral_position: float
     """Of the vehicle in that step [m]."""
+    length: float
+    width: float
+    """Of the vehicle's body [m]."""
 
 
 class Focus(NamedTuple):
@@ -104,7 +111,7 @@ class Spotlight:
             if result == Outcome.UNFINISHED:
                 is_collision = row["fate"] == Fate.COLLIDES
                 result = Outcome.COLLISION if is_collision else Outcome.OFF_ROAD
-            place = float(row["position"]), float(row["lateral_position"])
+            place = (float(row[name]) for name in _PLACE)
             incident = Incident(vehicle, int(row["command"]), result, frame.time, *place)
             self.incidents.append(incident)
             if vehicle == self._vehicle:

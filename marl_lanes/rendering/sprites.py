@@ -27,6 +27,9 @@ _MAX_KEPT = 8192
 _MIN_OUTLINED, _MIN_PATTERNED = 5.0, 7.0
 """[pixel] Least widths of vehicles with outlines and windows, and with patterned outlines."""
 
+_MIN_TRUCK = 4.0
+"""[1] Length by width from which a body is drawn as a tractor with a trailer."""
+
 _BLACK = (12, 14, 17)
 _GLASS = (38, 46, 58)
 _HEADLIGHT = (255, 250, 225)
@@ -111,7 +114,9 @@ class Sprites:
         body.center = (size[0] // 2, size[1] // 2)
         thickness = self._draw_body(surface, body, look)
         inner = body.inflate(-2 * thickness, -2 * thickness)
-        if self.width >= _MIN_OUTLINED and self.length > 1.5 * self.width:
+        if self.length > _MIN_TRUCK * self.width:
+            _draw_cab(surface, inner)
+        elif self.width >= _MIN_OUTLINED and self.length > 1.5 * self.width:
             _draw_windows(surface, inner)
         if look.is_braking:
             _draw_brake_lights(surface, body)
@@ -155,6 +160,14 @@ def _draw_dashes(
     for piece in range(1, 9, 2):
         mask.fill((0, 0, 0, 0), (round(piece * step), 0, round(step * 0.8), body.height))
     surface.blit(mask, body.topleft)
+
+
+def _draw_cab(surface: "pygame.Surface", body: "pygame.Rect") -> None:
+    """The joint between tractor and trailer, and a windscreen at the front; none behind."""
+    width = body.height
+    for front, length in ((1.0, 0.22), (0.22, 0.18)):
+        left = round(body.right - (front + length) * width)
+        surface.fill(_GLASS, (left, body.top, max(round(length * width), 1), width))
 
 
 def _draw_windows(surface: "pygame.Surface", body: "pygame.Rect") -> None:

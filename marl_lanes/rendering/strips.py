@@ -42,12 +42,14 @@ class Strips:
         first = self._strips[0]
         self._along = first.rect.width / (first.end - first.start)
         self._across = first.rect.height / (self._lanes * self._lane_width)
-        length = max(scenario.vehicle.length * self._along, _MIN_LENGTH)
-        width = max(scenario.vehicle.width * self._across, _MIN_WIDTH)
-        self._sprites = Sprites(length, width)
-        # One that drives a lane change is a bit larger, so that one finds it.
-        growth = 1.0 + 0.35 * min(length, 3.0 * width)
-        self._large = Sprites(length + growth, 1.0 + 1.35 * width)
+        self._sprites, self._large = [], []
+        for body in map(scenario.body_of, scenario.drivers.profiles):
+            length = max(body[0] * self._along, _MIN_LENGTH)
+            width = max(body[1] * self._across, _MIN_WIDTH)
+            self._sprites.append(Sprites(length, width))
+            # One that drives a lane change is a bit larger, so that one finds it.
+            growth = 1.0 + 0.35 * min(length, 3.0 * width)
+            self._large.append(Sprites(length + growth, 1.0 + 1.35 * width))
 
     def draw_ground(self, surface: "pygame.Surface", lettering: Lettering) -> None:
         """Draw what stands still: lanes and positions."""
@@ -109,13 +111,14 @@ class Strips:
         yaw = np.arctan2(np.sin(rows["yaw"]) * ratio, np.cos(rows["yaw"])).tolist()
         pictures: list[Sprite] = []
         above: list[Sprite] = []
-        for number, (is_red, is_gone) in enumerate(
-            zip(are_commanded(rows).tolist(), are_lost(rows).tolist(), strict=True)
+        columns = (are_commanded(rows), are_lost(rows), rows["profile"])
+        for number, (is_red, is_gone, profile) in enumerate(
+            zip(*(column.tolist() for column in columns), strict=True)
         ):
             look = Look(is_changer=is_red, is_lost=is_gone)
             is_large = is_red or is_gone or number == focus.row
             sprites = self._large if is_large else self._sprites
-            found = sprites.find(look, x[number], y[number], yaw[number])
+            found = sprites[profile].find(look, x[number], y[number], yaw[number])
             (above if is_large else pictures).append(found)
         surface.fblits(pictures, pygame.BLEND_PREMULTIPLIED)
         surface.fblits(above, pygame.BLEND_PREMULTIPLIED)

@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 
-from marl_lanes.trajectory.columns import COLUMNS
+from marl_lanes.trajectory.columns import READ
 from marl_lanes.trajectory.frames import Rows
 
 
@@ -18,11 +18,11 @@ class Checksum:
     def __init__(self, metadata: bytes) -> None:
         self._metadata = metadata
         # By columns, so that it does not matter in which blocks the rows come.
-        self._columns = {column.name: hashlib.sha256() for column in COLUMNS}
+        self._columns = {column.name: hashlib.sha256() for column in READ}
 
     def add(self, rows: Rows) -> None:
         """Add rows that come after those before."""
-        for column in COLUMNS:
+        for column in READ:
             values = rows[column.name]
             if column.kind.startswith("f"):
                 # There are many nan; a missing value is read as this one.

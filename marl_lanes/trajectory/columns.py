@@ -26,6 +26,9 @@ class Column(NamedTuple):
     is_optional: bool = False
     """Whether a value can be missing: -1 or nan in the rows, null in a file."""
     names: Names | None = None
+    is_derived: bool = False
+    """Whether it follows from the scenario and another column: a file has it for its readers, but
+    it is not read back."""
 
 
 def _names_of(enumeration: type[IntEnum]) -> Names:
@@ -70,6 +73,8 @@ _STATE = (
     Column("lane_high", "i1", "lane", "left-most lane that its body overlaps"),
     Column("moving_over", "i1", "1", "while it moves over for a changer: 1 left, -1 right; else 0"),
     Column("profile", "i1", "name", "profile of the driver", names=_profiles),
+    Column("length", "f8", "m", "of the body, by the profile", is_derived=True),
+    Column("width", "f8", "m", "of the body, by the profile", is_derived=True),
     Column("disposition", "i1", "name", "what it does behind a changer", names=_dispositions),
     Column("fate", "i1", "name", "what the step did with the vehicle", names=_names_of(Fate)),
     Column("collided_with", "i4", "1", "vehicle that it collided with in the step", True),
@@ -105,6 +110,16 @@ accelerations belong to it, positions and speeds are those after it."""
 
 ROW = np.dtype([(column.name, column.kind) for column in COLUMNS])
 """One vehicle at one time step."""
+
+
+READ: tuple[Column, ...] = tuple(column for column in COLUMNS if not column.is_derived)
+"""The columns that are read from a file."""
+
+
+def set_bodies(rows: np.ndarray[tuple[int], np.dtype[np.void]], scenario: Scenario) -> None:
+    """Set length and width of the (N,) ROW by their profiles."""
+    bodies = np.array([scenario.body_of(name) for name in scenario.drivers.profiles])
+    rows["length"], rows["width"] = bodies[rows["profile"]].T
 
 
 def new_rows(count: int) -> np.ndarray[tuple[int], np.dtype[np.void]]:

@@ -86,7 +86,7 @@ def write_fcd(path: Path, trajectory: Trajectory, road: int | None = None) -> No
 
 def _vehicles(frame: Frame, line: RoadLine) -> list[dict[str, str]]:
     rows = frame.rows
-    half = 0.5 * frame.scenario.vehicle.length
+    half = 0.5 * rows["length"]
     x, y, heading = line.place(rows["position"], rows["lateral_position"])
     heading = heading + rows["yaw"]
     angle = (90.0 - np.degrees(heading)) % 360.0
@@ -100,8 +100,8 @@ def _vehicles(frame: Frame, line: RoadLine) -> list[dict[str, str]]:
         found.append(
             {
                 "id": str(row["vehicle"]),
-                "x": f"{x[index] + half * math.cos(heading[index]):.3f}",
-                "y": f"{y[index] + half * math.sin(heading[index]):.3f}",
+                "x": f"{x[index] + half[index] * math.cos(heading[index]):.3f}",
+                "y": f"{y[index] + half[index] * math.sin(heading[index]):.3f}",
                 "angle": f"{angle[index]:.3f}",
                 "type": "changer" if is_changer[index] else profiles[row["profile"]],
                 "speed": f"{row['speed']:.3f}",

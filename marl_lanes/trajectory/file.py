@@ -16,7 +16,7 @@ from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.machine.state import NONE
 from marl_lanes.trajectory.checksum import Checksum
-from marl_lanes.trajectory.columns import COLUMNS, ROW, Column, new_rows
+from marl_lanes.trajectory.columns import COLUMNS, READ, ROW, Column, new_rows, set_bodies
 from marl_lanes.trajectory.frames import Frame, Rows
 from marl_lanes.trajectory.metadata import Metadata, TrajectoryError
 from marl_lanes.trajectory.road_line import MARGIN
@@ -192,7 +192,7 @@ def read_trajectory(path: Path) -> Trajectory:
             content = parquet.ParquetFile(file)
             num_rows = content.metadata.num_rows
             check_memory(f"{path}: its number of rows", num_rows, num_rows * _BYTES_PER_ROW)
-            table = content.read(columns=[column.name for column in COLUMNS])
+            table = content.read(columns=[column.name for column in READ])
         # pyarrow says OSError and others of damaged content, too.
         except (arrow.ArrowException, OSError, MemoryError, ValueError) as error:
             reason = textwrap.shorten(str(error), 200)
@@ -258,11 +258,12 @@ def _kind_of(column: Column) -> Any:
 
 def _read_rows(table: "pyarrow.Table", scenario: Scenario) -> Rows:
     rows = new_rows(table.num_rows)
-    for column in COLUMNS:
+    for column in READ:
         if column.name not in table.column_names:
             raise TrajectoryError(f"column {column.name}: must be there")
         rows[column.name] = _read_column(table.column(column.name), column, scenario)
-    for column in COLUMNS:
+    set_bodies(rows, scenario)
+    for column in READ:
         values = rows[column.name]
         if column.kind.startswith("f"):
             # nan is a missing value.

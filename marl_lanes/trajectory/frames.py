@@ -14,7 +14,7 @@ from marl_lanes.traffic.road.geometry import lane_centre
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.simulator import Simulator
-from marl_lanes.trajectory.columns import new_rows
+from marl_lanes.trajectory.columns import new_rows, set_bodies
 
 Rows = NDArray[np.void]
 """(N,) ROW."""
@@ -122,6 +122,7 @@ class FrameReader:
         rows["vehicle"] = ids[envs, slots]
         for name in _OF_VEHICLE:
             rows[name] = cars[name]
+        set_bodies(rows, simulator.scenario)
         changer = cars["changer"]
         rows["changer"] = np.where(changer == NONE, NONE, ids[envs, changer])
         index = np.full(ids.shape, NONE)

@@ -48,7 +48,11 @@ def test_every_value_comes_back(trajectory):
     chunk = json.loads(json.dumps(encode_chunk(rows, find_events(rows))))
     found = decode(header, chunk)
     rows = rows[np.lexsort((rows["step"], rows["vehicle"]))]
-    assert {column.name for column in COLUMNS} - set(found) == {"road", "time"}
+    missing = {column.name for column in COLUMNS} - set(found)
+    assert missing == {"road", "time", "length", "width"}
+    bodies = [header["bodies"][code] for code in found["profile"]]
+    for name in ("length", "width"):
+        assert [body[name] for body in bodies] == rows[name].tolist()
     assert np.isnan(rows["reward"]).any()
     assert np.isfinite(rows["reward"]).any()
     for column in ENCODED:

@@ -687,3 +687,23 @@ def test_chunks_of_a_stream_are_one_road(replay, open_page):
         page.evaluate(SEEK, 30.0)
         again = page.evaluate("[...player.scene.position.slice(0, player.scene.count)]")
         assert sorted(again) == pytest.approx(sorted(expected), abs=1e-9)
+
+
+def test_a_truck_is_drawn_as_long_as_it_is(tmp_path, open_page):
+    """Its ends are 8.25 m from its centre; and gaps are between bumpers."""
+    replay = Replay(tmp_path, record("trucks", 160, seed=5))
+    (command,) = (one for one in replay.commands if one.command == 0)
+    step = command.engaged_steps[0] + 3
+    with open_page(f"{replay.address}#command=0") as page:
+        page.evaluate(SEEK, step * replay.scenario.time_step)
+        (row,) = replay.at(step)[replay.at(step)["vehicle"] == command.vehicle]
+        assert (row["length"], row["width"]) == (16.5, 2.55)
+        for ahead, is_body in ((-7.9, True), (4.0, True), (5.4, False), (6.5, True), (-9.5, False)):
+            place = np.array([row])
+            place["position"] += ahead
+            (x,), (y,) = project(replay, place, view_of(page))
+            assert (page.evaluate(PIXEL, [float(x), float(y)]) == TRAFFIC.changer) == is_body, ahead
+        leader = replay.row(int(row["target_leader"]), step)
+        gap = leader["position"] - row["position"] - 0.5 * (row["length"] + leader["length"])
+        values = page.locator("[data-key=gaps] output").all_text_contents()
+        assert float(values[1]) == pytest.approx(gap, rel=0.01)

@@ -85,7 +85,7 @@ def test_the_bar_of_the_scale_is_as_long_as_it_says():
 )
 def test_an_outcome_is_written_at_the_vehicle(outcome, text, has_ring):
     frame = make_frame({"position": 320.0, "lane": 2}, step=5)
-    there = Incident(0, 2, outcome, 0.0, 300.0, 5.0)
+    there = Incident(0, 2, outcome, 0.0, 300.0, 5.0, 4.8, 1.8)
     camera, found, _ = write(frame, incidents=[there])
     # The vehicle has moved on.
     assert found[text].centerx == pytest.approx(camera.place(320.0, 5.0)[0], abs=1.0)
@@ -99,7 +99,9 @@ def test_an_outcome_is_written_at_the_vehicle(outcome, text, has_ring):
 
 def test_a_loss_without_a_command_has_no_name():
     frame = make_frame({"position": 300.0})
-    _, found, _ = write(frame, incidents=[Incident(0, -1, Outcome.COLLISION, 0.0, 300.0, 2.0)])
+    _, found, _ = write(
+        frame, incidents=[Incident(0, -1, Outcome.COLLISION, 0.0, 300.0, 2.0, 4.8, 1.8)]
+    )
     assert "collision" in found
 
 

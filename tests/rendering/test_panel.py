@@ -79,6 +79,14 @@ def test_the_numbers_of_the_followed_agent():
     assert "delay" not in texts
 
 
+def test_gaps_are_between_the_bumpers_of_every_size():
+    """A truck behind: half of its 16.5 m, and half of the changer's 4.8 m."""
+    behind = {"position": 270.0, "lane": 0, "profile": 3}
+    agent = commanded(300.0, direction=-1, target_follower=1)
+    _, texts, _ = paint(make_frame(agent, behind))
+    assert value_of(texts, "gap behind") == "19.4 m"
+
+
 def test_missing_neighbors_are_free():
     _, texts, _ = paint(make_frame(commanded(300.0)))
     assert value_of(texts, "gap ahead") == value_of(texts, "gap behind") == "free"
@@ -139,7 +147,7 @@ def test_it_says_that_no_command_is_live():
 @pytest.mark.parametrize("row", [0, None])
 def test_an_outcome_stays_for_a_moment(row):
     frame = make_frame({"position": 300.0}, step=5)
-    incident = Incident(-1 if row is None else 0, 3, Outcome.OFF_ROAD, 0.2, 300.0, 2.0)
+    incident = Incident(-1 if row is None else 0, 3, Outcome.OFF_ROAD, 0.2, 300.0, 2.0, 4.8, 1.8)
     _, texts, _ = paint(frame, row, incidents=[incident])
     assert texts[texts.index("off road") + 1] == "changer_3"
     assert ("the followed vehicle is gone" in texts) == (row is None)

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 from pictures import LEFT_BEND, STRAIGHT, commanded, crop, find_bodies, is_colour, make_frame
@@ -116,7 +118,7 @@ GAP = (
 def test_the_gap_is_between_the_target_lanes_vehicles(phase, is_accepted):
     frame = make_frame({**GAP[0], "phase": phase}, *GAP[1:])
     camera, lettering, picture = paint(frame, focus=Focus(0, 0, 300.0, 1))
-    gap = find_gap(STRAIGHT, frame.rows, 0, camera)
+    gap = find_gap(frame.rows, 0, camera)
     assert (gap.lane, gap.rear, gap.front) == (2, pytest.approx(282.4), pytest.approx(327.6))
     assert gap.is_hatched != is_accepted
     colour = mix(ROAD, SAFE_GAP, 0.5) if is_accepted else mix(ROAD, REFUSED_GAP, 0.8)
@@ -130,7 +132,7 @@ def test_the_gap_is_between_the_target_lanes_vehicles(phase, is_accepted):
 
 def test_an_open_gap_reaches_beyond_the_picture():
     camera, lettering, _ = paint(make_frame(commanded(300.0)), focus=Focus(0, 0, 300.0, 1))
-    gap = find_gap(STRAIGHT, make_frame(commanded(300.0)).rows, 0, camera)
+    gap = find_gap(make_frame(commanded(300.0)).rows, 0, camera)
     assert (gap.rear, gap.front) == camera.reach
     assert not any(text.endswith(".0 m") or "." in text for text in lettering.texts)
 
@@ -138,7 +140,7 @@ def test_an_open_gap_reaches_beyond_the_picture():
 def test_without_a_command_there_is_no_gap():
     frame = make_frame({"position": 300.0})
     camera, _, picture = paint(frame, focus=Focus(0, 0, 300.0, 0))
-    assert find_gap(STRAIGHT, frame.rows, 0, camera) is None
+    assert find_gap(frame.rows, 0, camera) is None
     assert not is_colour(picture, mix(ROAD, SAFE_GAP, 0.5), 6).any()
 
 
@@ -146,3 +148,30 @@ def test_an_empty_road_is_drawn():
     _, _, picture = paint(make_frame())
     assert find_bodies(picture, VEHICLE) == []
     assert is_colour(picture, ROAD, 0).mean() > 0.2
+
+
+def test_a_truck_is_drawn_as_long_and_as_wide_as_it_is():
+    cars = {"position": 280.0, "lane": 0}, {"position": 300.0, "lane": 2, "profile": 3}
+    camera, _, picture = paint(make_frame(*cars))
+    for car, length, width in zip(cars, (4.8, 16.5), (1.8, 2.55), strict=True):
+        lane = car["lane"]
+        bounds = camera.place([car["position"]] * 2, [3.75 * lane, 3.75 * (lane + 1)])[1]
+        within = picture[math.ceil(bounds[1]) + 4 : math.floor(bounds[0]) - 4]
+        rows, columns = (~is_colour(within, ROAD, 12)).nonzero()
+        assert (np.ptp(columns) + 1) / camera.scale == pytest.approx(length, abs=0.3)
+        assert (np.ptp(rows) + 1) / camera.scale == pytest.approx(width, abs=0.3)
+
+
+def test_the_gap_of_a_truck_is_between_bumpers():
+    """Half of the truck is 8.25 m: a gap of 0 m is no distance, and it is where bumpers touch."""
+    truck = {"profile": 3}
+    leader, follower = {"position": 320.65, "lane": 2}, {"position": 289.35, "lane": 2}
+    agent = commanded(300.0, phase=Phase.ENGAGED, target_leader=1, target_follower=2, **truck)
+    camera, lettering, _ = paint(make_frame(agent, leader, follower), focus=Focus(0, 0, 300.0, 1))
+    gap = find_gap(make_frame(agent, leader, follower).rows, 0, camera)
+    assert (gap.rear, gap.front) == (pytest.approx(291.75), pytest.approx(318.25))
+    assert gap.distances == ((pytest.approx(308.25), pytest.approx(318.25)),)
+    assert "10.0 m" in lettering.texts
+    leader["profile"], leader["position"] = 3, 330.0
+    gap = find_gap(make_frame(agent, leader, follower).rows, 0, camera)
+    assert gap.front == pytest.approx(321.75)

@@ -134,3 +134,13 @@ def test_a_look_is_drawn_once():
     again, place = sprites.find(Look(), 110.1, 60.1, 0.001)
     assert again is first
     assert place == (100 + 10 - first.get_width() // 2, 60 - first.get_height() // 2)
+
+
+def test_a_long_body_has_a_joint_behind_the_cab_and_no_rear_window():
+    picture = paint(Look(), sprites=Sprites(92.0, 14.0))
+    dark = ~is_colour(picture, VEHICLE, 60) & covered(picture)
+    # Along the middle, 6 px from the rear bumper to 3 px from the front one, at 4 and 96 px.
+    (columns,) = np.nonzero(dark[50, 10:93])
+    joint, windscreen = np.split(10 + columns, np.flatnonzero(np.diff(columns) > 1) + 1)
+    assert joint.mean() == pytest.approx(96.0 - 1.11 * 14.0, abs=1.0)
+    assert windscreen.mean() == pytest.approx(96.0 - 0.31 * 14.0, abs=1.0)

@@ -91,3 +91,12 @@ def test_a_picture_without_strips_has_none():
     strips.draw_ground(surface, Lettering())
     strips.draw(surface, make_frame({"position": 10.0}), NOBODY, camera)
     assert not pygame.surfarray.array3d(surface).any()
+
+
+def test_trucks_are_longer_in_the_strips():
+    _, _, picture = paint(
+        {"position": 100.0, "lane": 0}, {"position": 300.0, "lane": 0, "profile": 3}
+    )
+    columns = is_colour(picture, VEHICLE, 60).any(axis=0).nonzero()[0]
+    car, truck = np.split(columns, np.flatnonzero(np.diff(columns) > 100) + 1)
+    assert np.ptp(truck) + 1 > 2.5 * (np.ptp(car) + 1)

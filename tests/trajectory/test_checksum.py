@@ -3,7 +3,7 @@
 import numpy as np
 
 from marl_lanes.trajectory.checksum import Checksum
-from marl_lanes.trajectory.columns import COLUMNS, new_rows
+from marl_lanes.trajectory.columns import READ, new_rows
 
 
 def checksum(*blocks, metadata=b"{}"):
@@ -24,11 +24,11 @@ def test_it_is_that_of_the_rows_in_whatever_blocks():
 def test_every_value_and_the_metadata_count():
     rows = new_rows(3)
     found = {checksum(rows), checksum(rows, metadata=b"{ }")}
-    for column in COLUMNS:
+    for column in READ:
         other = rows.copy()
         other[column.name][1] = 5
         found.add(checksum(other))
-    assert len(found) == 2 + len(COLUMNS)
+    assert len(found) == 2 + len(READ)
 
 
 def test_every_nan_is_a_missing_value():

@@ -4,7 +4,7 @@ from marl_lanes import load_scenario
 from marl_lanes.traffic.machine.state import NONE, Phase
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
-from marl_lanes.trajectory.columns import COLUMNS, ROW, new_rows
+from marl_lanes.trajectory.columns import COLUMNS, ROW, new_rows, set_bodies
 
 
 def test_names_are_unique_and_every_column_is_explained():
@@ -24,7 +24,7 @@ def test_names_stand_in_the_order_of_their_codes():
     named = {column.name: column.names(scenario) for column in COLUMNS if column.names}
     assert named["phase"][Phase.ABORTING] == "aborting"
     assert named["disposition"] == ("cooperative", "neutral", "adversarial", "mine")
-    assert named["profile"] == ("normal", "aggressive", "defensive")
+    assert named["profile"] == ("normal", "aggressive", "defensive", "truck")
     assert set(named) == {"profile", "disposition", "fate", "phase", "outcome"}
 
 
@@ -38,3 +38,11 @@ def test_new_rows_lack_the_optional_values_alone():
             assert np.isnan(values).all(), column.name
         else:
             assert (values == NONE).all(), column.name
+
+
+def test_bodies_are_those_of_the_profiles():
+    rows = new_rows(3)
+    rows["profile"] = [3, 0, 3]
+    set_bodies(rows, load_scenario("paper", {"vehicle": {"length": 5.0}}))
+    assert rows["length"].tolist() == [16.5, 5.0, 16.5]
+    assert rows["width"].tolist() == [2.55, 1.8, 2.55]

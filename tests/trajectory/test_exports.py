@@ -115,3 +115,17 @@ def test_csv_has_a_header_and_empty_cells(tmp_path):
     empty = sum(row["command"] == "" for row in rows)
     assert empty == (trajectory.rows["command"] == -1).sum()
     assert {row["phase"] for row in rows} >= {"absent", "engaged"}
+
+
+def test_a_trucks_front_bumper_is_further_ahead(tmp_path):
+    trajectory = recordings.record("trucks", 5, seed=2)
+    write_fcd(tmp_path / "trucks.fcd.xml", trajectory)
+    frame = list(trajectory.frames(0))[-1]
+    half = {"normal": 2.4, "truck": 8.25}
+    seen = set()
+    vehicles = read_fcd(tmp_path / "trucks.fcd.xml")[frame.time]
+    for one, row in zip(vehicles, frame.rows, strict=True):
+        ahead = half[one.type] * math.cos(row["yaw"])
+        assert float(one.pos) == pytest.approx(row["position"] + ahead, abs=1e-3)
+        seen.add(one.type)
+    assert seen == set(half)

@@ -260,3 +260,19 @@ def test_a_table_of_something_else_is_refused(tmp_path):
 def test_a_wrong_column_is_named(file, tmp_path, change, message):
     with pytest.raises(TrajectoryError, match=f"changed.parquet: {message}"):
         read_trajectory(changed(file, tmp_path, change))
+
+
+def test_a_reader_finds_the_size_of_every_vehicle(tmp_path):
+    write_trajectory(tmp_path / "trucks.parquet", recordings.record("trucks", 5, seed=2))
+    table = pandas.read_parquet(tmp_path / "trucks.parquet")
+    sizes = set(zip(table["profile"], table["length"], table["width"], strict=True))
+    assert sizes == {("normal", 4.8, 1.8), ("truck", 16.5, 2.55)}
+
+
+def test_sizes_follow_from_the_profiles_also_where_a_file_lacks_them(file, tmp_path):
+    """As the files of 0.2.0 do; and other sizes in a file count for nothing."""
+    lacking = changed(file, tmp_path, lambda table: table.drop_columns(["length", "width"]))
+    assert read_trajectory(lacking).rows.tobytes() == recordings.interactive().rows.tobytes()
+    huge = pyarrow.array(np.full(recordings.interactive().rows.size, 1e9))
+    other = changed(file, tmp_path, lambda table: replaced(table, "length", huge))
+    assert read_trajectory(other).rows.tobytes() == recordings.interactive().rows.tobytes()

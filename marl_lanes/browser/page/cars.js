@@ -7,6 +7,8 @@ const OUTLINED = ["cooperative", "neutral", "adversarial"];
 const BLINK = 0.4;
 /** Bodies are drawn at least this long, so that they are seen from afar [px]. */
 const MIN_LENGTH = 6;
+/** Length by width from which a body is drawn as a tractor with a trailer. */
+const MIN_TRUCK = 4;
 
 function traceBody(context, length, width) {
   context.beginPath();
@@ -29,7 +31,8 @@ export class Cars {
 
   draw(context, colours, scene, selected) {
     const { camera } = this;
-    this.enlarged = Math.max(1, MIN_LENGTH / (this.header.vehicle_length * camera.scale));
+    const shortest = Math.min(...this.header.bodies.map((body) => body.length));
+    this.enlarged = Math.max(1, MIN_LENGTH / (shortest * camera.scale));
     const chosen = scene.find(selected);
     if (chosen >= 0) this.drawGap(context, colours, scene, chosen);
     const reach = 0.6 * Math.max(camera.span, camera.height / camera.scale) + 10;
@@ -41,16 +44,26 @@ export class Cars {
     if (chosen >= 0) this.drawRing(context, colours, scene, chosen);
   }
 
-  /** Run paint(length, width) in the frame of a vehicle: x ahead, y to the right, in pixels. */
-  within(context, position, lateral, yaw, paint) {
-    const { camera, header, enlarged } = this;
+  /** Length and width of the i-th vehicle [m]. */
+  body(scene, i) {
+    return this.header.bodies[scene.value("profile", i)];
+  }
+
+  /** Run paint(length, width) in the frame of a body: x ahead, y to the right, in pixels. */
+  within(context, body, position, lateral, yaw, paint) {
+    const { camera, enlarged } = this;
     const point = camera.project(position, lateral, this.point);
     context.save();
     context.translate(point.x, point.y);
     context.rotate(-(point.heading + yaw));
     const scale = camera.scale * enlarged;
-    paint(header.vehicle_length * scale, header.vehicle_width * scale);
+    paint(body.length * scale, body.width * scale);
     context.restore();
+  }
+
+  withinCar(context, scene, i, paint) {
+    const { position, lateral, yaw } = scene;
+    this.within(context, this.body(scene, i), position[i], lateral[i], yaw[i], paint);
   }
 
   drawCar(context, colours, scene, i) {
@@ -60,11 +73,12 @@ export class Cars {
     const fate = this.names.fate[scene.value("fate", i)];
     const isHit = fate === "collides" || fate === "strays";
     const turn = this.turning(scene, i);
-    this.within(context, scene.position[i], scene.lateral[i], scene.yaw[i], (length, width) => {
+    this.withinCar(context, scene, i, (length, width) => {
       context.fillStyle = isChanger ? colours.changer : colours.vehicle;
       traceBody(context, length, width);
       context.fill();
-      if (length > 16) this.drawWindows(context, length, width);
+      if (length > MIN_TRUCK * width) this.drawCab(context, length, width);
+      else if (length > 16) this.drawWindows(context, length, width);
       this.drawOutline(context, colours, disposition, length, width);
       if (isBraking) this.drawBrakes(context, colours, length, width);
       if (turn !== 0 && Math.floor(scene.time / BLINK + 1e-6) % 2 === 0) {
@@ -81,6 +95,14 @@ export class Cars {
     if (this.names.outcome[scene.value("outcome", i)] !== "unfinished") return 0;
     const direction = scene.value("direction", i);
     return this.names.phase[scene.value("phase", i)] === "aborting" ? -direction : direction;
+  }
+
+  /** The joint between tractor and trailer, and a windscreen; no window behind. */
+  drawCab(context, length, width) {
+    context.fillStyle = GLASS;
+    for (const [front, size] of [[1, 0.22], [0.22, 0.18]]) {
+      context.fillRect(length / 2 - (front + size) * width, -width / 2, size * width, width);
+    }
   }
 
   drawWindows(context, length, width) {
@@ -154,7 +176,7 @@ export class Cars {
   }
 
   drawRing(context, colours, scene, i) {
-    this.within(context, scene.position[i], scene.lateral[i], scene.yaw[i], (length, width) => {
+    this.withinCar(context, scene, i, (length, width) => {
       context.strokeStyle = colours.marking;
       context.lineWidth = 1.5;
       context.beginPath();
@@ -167,11 +189,13 @@ export class Cars {
   drawGap(context, colours, scene, i) {
     if (this.names.phase[scene.value("phase", i)] === "absent") return;
     const { camera, header } = this;
-    const half = header.vehicle_length / 2;
+    const half = this.body(scene, i).length / 2;
     const ends = [
-      [scene.find(scene.value("target_follower", i)), half, -camera.span],
-      [scene.find(scene.value("target_leader", i)), -half, camera.span],
-    ].map(([j, bumper, far]) => (j >= 0 ? scene.position[j] + bumper : scene.position[i] + far));
+      [scene.find(scene.value("target_follower", i)), 0.5, -camera.span],
+      [scene.find(scene.value("target_leader", i)), -0.5, camera.span],
+    ].map(([j, end, far]) =>
+      j >= 0 ? scene.position[j] + end * this.body(scene, j).length : scene.position[i] + far,
+    );
     const lane = scene.value("target_lane", i);
     const low = (lane + 0.15) * header.lane_width;
     const high = (lane + 0.85) * header.lane_width;
@@ -228,13 +252,13 @@ export class Cars {
 
   /** The vehicle at a pixel of the canvas, or -1. */
   pick(scene, x, y) {
-    const reach = Math.max(14, 0.55 * this.header.vehicle_length * this.camera.scale);
     let nearest = -1;
-    let least = reach;
+    let least = Infinity;
     for (let i = 0; i < scene.count; i += 1) {
       const point = this.camera.project(scene.position[i], scene.lateral[i], this.point);
       const distance = Math.hypot(point.x - x, point.y - y);
-      if (distance < least) {
+      const reach = Math.max(14, 0.55 * this.body(scene, i).length * this.camera.scale);
+      if (distance < Math.min(least, reach)) {
         least = distance;
         nearest = scene.vehicle[i];
       }

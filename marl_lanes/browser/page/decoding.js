@@ -10,8 +10,8 @@ const ARRAYS = {
 
 /** Refuses a header of another form. */
 export function checkHeader(header) {
-  if (header.format !== 1) {
-    throw new Error(`format = ${header.format}: must be 1; make the page again with this version`);
+  if (header.format !== 2) {
+    throw new Error(`format = ${header.format}: must be 2; make the page again with this version`);
   }
 }
 

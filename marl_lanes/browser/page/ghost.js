@@ -15,7 +15,11 @@ export class Ghost {
     if (now < maneuver.firstStep || now > Math.max(last, maneuver.lastStep) + 10) return;
     this.drawDriven(context, colours, maneuver, first);
     this.drawPath(context, colours, optimum);
-    if (now >= first && now <= last) this.drawCar(context, colours, optimum, now - first);
+    if (now < first || now > last) return;
+    this.store.visit(maneuver.vehicle, first, first, ({ columns }, row) => {
+      const body = this.store.header.bodies[columns.profile[row]];
+      this.drawCar(context, colours, body, optimum, now - first);
+    });
   }
 
   drawPath(context, colours, optimum) {
@@ -47,12 +51,12 @@ export class Ghost {
     context.stroke();
   }
 
-  drawCar(context, colours, optimum, index) {
+  drawCar(context, colours, body, optimum, index) {
     const before = Math.min(Math.floor(index), optimum.position.length - 2);
     const share = index - before;
     const at = (values) => values[before] + share * (values[before + 1] - values[before]);
     const { position, lateral_position: lateral, yaw } = optimum;
-    this.cars.within(context, at(position), at(lateral), at(yaw), (length, width) => {
+    this.cars.within(context, body, at(position), at(lateral), at(yaw), (length, width) => {
       context.strokeStyle = colours.external;
       context.lineWidth = 2;
       context.setLineDash([4, 3]);

@@ -54,11 +54,11 @@ export class Overview {
     }
     context.stroke();
     context.globalAlpha = 1;
-    const length = Math.max(4, header.vehicle_length * scale);
     const body = Math.min(6, 0.55 * lane);
     for (let i = 0; i < scene.count; i += 1) {
       const isChanger = scene.value("command", i) >= 0;
       const isSelected = scene.vehicle[i] === selected;
+      const length = Math.max(4, header.bodies[scene.value("profile", i)].length * scale);
       const x = scene.position[i] * scale;
       const y = height * (1 - scene.lateral[i] / across);
       context.fillStyle = isChanger ? colours.changer : colours.vehicle;

@@ -71,7 +71,8 @@ export function makePlots(store, optimum, vehicle, firstStep, lastStep) {
     const gap = (other) => {
       if (other < 0) return NaN;
       const distance = Math.abs(columns.position[other] - columns.position[row]);
-      return distance - header.vehicle_length;
+      const [own, others] = [row, other].map((at) => header.bodies[columns.profile[at]].length);
+      return distance - 0.5 * (own + others);
     };
     const value = (name, other) => (other < 0 ? NaN : columns[name][other]);
     plots.speed.lines[0].add(time, columns.speed[row]);
