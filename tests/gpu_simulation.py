@@ -9,7 +9,7 @@ os.environ |= {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
 import numpy as np
 
 from marl_lanes import Simulator
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables
+from marl_lanes.envs.vehicle_table import read_vehicle_tables, state_columns
 
 SMALL = {
     "num_agents": None,
@@ -19,6 +19,7 @@ SMALL = {
     "warmup": [6.0, 8.0],
     "command": {"position": [10.0, 20.0], "probability": 1.0},
     "followers": {"mix": {"learned": 0.5, "late-yielder": 0.5}},
+    "drivers": {"mix": {"normal": 0.5, "truck": 0.5}},
 }
 
 
@@ -45,12 +46,15 @@ def assert_table_is_read(rng, simulator):
     from marl_lanes.traffic.gpu_kernels import read_vehicles
 
     simulator = deepcopy(simulator)
-    for number, name in enumerate(STATE_COLUMNS[:-1]):
+    *numbers, length, width, _ = state_columns(simulator.scenario)
+    assert (length, width) == ("length", "width")
+    for number, name in enumerate(numbers):
         simulator.vehicles[name] = number + rng.random(simulator.vehicles.shape)
     expected = read_vehicle_tables(simulator)
     rows = np.full_like(expected, np.nan)
     state = simulator.state
-    read_vehicles[1, 4](state.roads, state.order, state.vehicles, rows)
+    profiles = simulator.parameters.profiles
+    read_vehicles[1, 4](state.roads, state.order, state.vehicles, profiles, rows)
     np.testing.assert_array_equal(rows, expected)
 
 

@@ -18,7 +18,7 @@ from marl_lanes.envs.followers import find_policies
 from marl_lanes.envs.gpu_exchange import Exchange, check_device
 from marl_lanes.envs.tensordict_internals import make_tensordict
 from marl_lanes.envs.timing import timed
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_tables, state_bounds
+from marl_lanes.envs.vehicle_table import read_vehicle_tables, state_bounds, state_columns
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
@@ -66,8 +66,8 @@ class LaneChangeEnv(Closes, EnvBase):
     The other keys are as above; it ends with the command.
 
     With ``has_state`` the root has a ``state`` (E, max_vehicles, columns) float32: every vehicle of
-    the road by decreasing position, with the columns STATE_COLUMNS; ``agent`` is the slot of the
-    vehicle's agent, or -1. Rows without a vehicle are zero, with agent -1.
+    the road by decreasing position, with ``state_columns``; ``agent`` is the slot of the vehicle's
+    agent, or -1. Rows without a vehicle are zero, with agent -1.
 
     The root's ``done`` (E, 1) is the end of a road's episode: all ``num_agents`` commands of the
     scenario are finished (terminated), or the horizon is reached (truncated). With
@@ -407,7 +407,7 @@ def _bytes_of_road(scenario: Scenario, has_followers: bool) -> int:
 
 def bytes_of_state(scenario: Scenario) -> int:
     """Memory of one road's ``state``, before a step and after it [bytes]."""
-    return 8 * scenario.max_vehicles * len(STATE_COLUMNS)
+    return 8 * scenario.max_vehicles * len(state_columns(scenario))
 
 
 def _read_actions(tensordict: TensorDictBase, group: str) -> NDArray[Any]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from marl_lanes.envs.vehicle_table import state_columns
 from marl_lanes.scenario import Scenario, ScenarioError
 from marl_lanes.traffic.roles.role import Role
 
@@ -36,9 +37,12 @@ def check_spaces(changed: Scenario, made: Scenario, roles: Sequence[Role]) -> No
         role.seen(changed) == role.seen(made) and role.act(changed) == role.act(made)
         for role in roles
     )
-    sizes = [(count_agents(one), one.max_vehicles, one.time_step) for one in (changed, made)]
+    sizes = [
+        (count_agents(one), one.max_vehicles, one.time_step, state_columns(one))
+        for one in (changed, made)
+    ]
     if not is_same or sizes[0] != sizes[1]:
         raise ScenarioError(
-            "options['overrides']: num_agents, max_vehicles, time_step, observations and actions "
-            "must be those that the environment was made with"
+            "options['overrides']: num_agents, max_vehicles, time_step, observations, actions and "
+            "the columns of the state must be those that the environment was made with"
         )

@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from marl_lanes.envs.tensordict_internals import make_tensordict
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS, state_bounds
+from marl_lanes.envs.vehicle_table import state_bounds, state_columns
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.readout import changer_columns, follower_columns
 from marl_lanes.traffic.roles.changer import CHANGER
@@ -65,7 +65,7 @@ class Exchange:
         self._ends = {
             name: self._add((flat[0], 1), np.bool_) for name in ("done", "terminated", "truncated")
         }
-        rows = (flat[0], simulator.scenario.max_vehicles, len(STATE_COLUMNS))
+        rows = (flat[0], simulator.scenario.max_vehicles, len(state_columns(simulator.scenario)))
         self._tables = {"state": self._add(rows, np.float32)} if has_state else {}
         bounds = state_bounds(simulator.scenario, simulator.num_slots)
         self._table_bounds = [torch.tensor(bound, device=device) for bound in bounds]

@@ -324,7 +324,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
     def state(self) -> NDArray[np.float32]:
         """Every vehicle on the road by decreasing position, (max_vehicles, columns) float32.
 
-        The columns are STATE_COLUMNS, clipped to the bounds of ``state_space``; rows without a
+        The columns are ``state_columns``, clipped to the bounds of ``state_space``; rows without a
         vehicle are zero, with agent -1. With ``has_flat_state`` (max_vehicles * columns,).
         """
         rows = read_vehicle_table(self.simulator)

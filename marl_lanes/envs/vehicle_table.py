@@ -15,14 +15,36 @@ _BOUNDS = {
     "acceleration": (-20.0, 20.0),
     "yaw": (-100.0, 100.0),
     "yaw_rate": (-150.0, 150.0),
+    "length": (0.0, 20.0),
+    "width": (0.0, 2.6),
 }
 """Lowest and highest values; those beyond them are told as the bound, as in an observation."""
 
-STATE_COLUMNS = (*_BOUNDS, "agent")
-"""Columns of the table: fields of VEHICLE; ``agent`` says which agent the vehicle is, -1 if it is
-none: by the serial number of its command in PettingZoo's, by its slot in TorchRL's."""
+_SIZE = ("length", "width")
 
-_LOW, _HIGH = np.asarray([*_BOUNDS.values()], np.float32).T
+
+def state_columns(scenario: Scenario) -> tuple[str, ...]:
+    """Columns of the table: fields of VEHICLE, then ``length`` and ``width`` if there are several.
+
+    The last one, ``agent``, says which agent the vehicle is, -1 if it is none: by the serial number
+    of its command in PettingZoo's, by its slot in TorchRL's.
+    """
+    bodies = {scenario.body_of(name) for name in scenario.drivers.driven}
+    shown = [name for name in _BOUNDS if name not in _SIZE or len(bodies) > 1]
+    return (*shown, "agent")
+
+
+def _number_bounds(scenario: Scenario) -> NDArray[np.float32]:
+    """Lowest and highest numbers of all columns but the last, (2, columns - 1)."""
+    columns = state_columns(scenario)[:-1]
+    return np.asarray([_BOUNDS[name] for name in columns], np.float32).T
+
+
+def _read_column(simulator: Simulator, cars: NDArray[np.void], name: str) -> NDArray[np.float64]:
+    if name in _SIZE:
+        half = simulator.parameters.profiles[f"half_{name}"]
+        return np.asarray(2.0 * half[cars["profile"]])
+    return np.asarray(cars[name])
 
 
 def state_bounds(scenario: Scenario, num_agents: int) -> Bounds:
@@ -32,8 +54,9 @@ def state_bounds(scenario: Scenario, num_agents: int) -> Bounds:
         scenario: of the road.
         num_agents: the numbers in the column ``agent`` are below it.
     """
-    shape = (scenario.max_vehicles, len(STATE_COLUMNS))
-    low, high = np.append(_LOW, NONE), np.append(_HIGH, num_agents - 1)
+    shape = (scenario.max_vehicles, len(state_columns(scenario)))
+    numbers = _number_bounds(scenario)
+    low, high = np.append(numbers[0], NONE), np.append(numbers[1], num_agents - 1)
     return (
         np.broadcast_to(low.astype(np.float32), shape),
         np.broadcast_to(high.astype(np.float32), shape),
@@ -46,12 +69,13 @@ def read_vehicle_table(simulator: Simulator) -> NDArray[np.float32]:
     Returns:
         (max_vehicles, columns) float32.
     """
-    rows = np.zeros((simulator.scenario.max_vehicles, len(STATE_COLUMNS)), np.float32)
+    columns = state_columns(simulator.scenario)
+    rows = np.zeros((simulator.scenario.max_vehicles, len(columns)), np.float32)
     count = int(simulator.roads["num_vehicles"][0])
     cars = simulator.vehicles[0, simulator.state.order[0, :count]]
-    for column, name in enumerate(_BOUNDS):
-        rows[:count, column] = cars[name]
-    rows[:, :-1].clip(_LOW, _HIGH, out=rows[:, :-1])
+    for column, name in enumerate(columns[:-1]):
+        rows[:count, column] = _read_column(simulator, cars, name)
+    rows[:, :-1].clip(*_number_bounds(simulator.scenario), out=rows[:, :-1])
     commands = simulator.agents["command"][0, cars["agent"]]
     rows[:count, -1] = np.where(cars["agent"] == NONE, NONE, commands)
     rows[count:, -1] = NONE
@@ -67,9 +91,11 @@ def read_vehicle_tables(simulator: Simulator) -> NDArray[np.float32]:
     order, count = simulator.state.order, simulator.roads["num_vehicles"]
     is_there = np.arange(order.shape[1]) < count[:, None]
     slots = np.where(is_there, order, 0)
-    rows = np.empty((*order.shape, len(STATE_COLUMNS)), np.float32)
-    for column, name in enumerate(STATE_COLUMNS):
-        rows[..., column] = np.take_along_axis(simulator.vehicles[name], slots, axis=1)
-    rows[..., :-1].clip(_LOW, _HIGH, out=rows[..., :-1])
-    rows[~is_there] = [0.0] * (len(STATE_COLUMNS) - 1) + [NONE]
+    columns = state_columns(simulator.scenario)
+    rows = np.empty((*order.shape, len(columns)), np.float32)
+    for column, name in enumerate(columns):
+        values = _read_column(simulator, simulator.vehicles, name)
+        rows[..., column] = np.take_along_axis(values, slots, axis=1)
+    rows[..., :-1].clip(*_number_bounds(simulator.scenario), out=rows[..., :-1])
+    rows[~is_there] = [0.0] * (len(columns) - 1) + [NONE]
     return rows

@@ -294,7 +294,8 @@ class GpuRoads:
     def make_table_readout(self, rows: DeviceArray) -> Callable[[], None]:
         """What fills (E, V, columns) float32 as ``read_vehicle_tables`` does."""
         tables = self.tables
-        given = (tables.roads, tables.order, tables.vehicles, rows)
+        _, profiles, *_ = self._constants
+        given = (tables.roads, tables.order, tables.vehicles, profiles, rows)
         return self._make_repeated(kernels.read_vehicles, tables.order.size, given)
 
     def _make_repeated(

@@ -236,8 +236,11 @@ def read_followers(
 
 
 @cuda.jit
-def read_vehicles(roads: Any, order: Any, vehicles: Any, rows: Any) -> None:
-    """Every vehicle by decreasing position, the columns of ``STATE_COLUMNS``: (E, V, 7) float32."""
+def read_vehicles(roads: Any, order: Any, vehicles: Any, profiles: Any, rows: Any) -> None:
+    """Every vehicle by decreasing position, (E, V, 7) float32 or, with length and width, 9.
+
+    The columns are those of ``state_columns``.
+    """
     num_vehicles = order.shape[1]
     for index in range(cuda.grid(1), order.size, cuda.gridsize(1)):
         env, rank = index // num_vehicles, index % num_vehicles
@@ -254,4 +257,7 @@ def read_vehicles(roads: Any, order: Any, vehicles: Any, rows: Any) -> None:
         row[3] = car.acceleration
         row[4] = car.yaw
         row[5] = car.yaw_rate
-        row[6] = car.agent
+        if rows.shape[2] > 7:
+            row[6] = 2.0 * profiles[car.profile].half_length
+            row[7] = 2.0 * profiles[car.profile].half_width
+        row[rows.shape[2] - 1] = car.agent

@@ -19,6 +19,8 @@ def test_traffic_may_change_and_followers_bounds_only_where_no_follower_is_an_ag
     check_spaces(load_scenario("paper", {"horizon": 90.0}), made, (CHANGER, FOLLOWER))
     weak = load_scenario("paper", {"followers": {"external": {"max_braking": 1.0}}})
     check_spaces(weak, made, (CHANGER,))
-    for changed in (weak, load_scenario("paper", {"max_vehicles": 50})):
+    trucks = load_scenario("trucks")
+    check_spaces(trucks, load_scenario("trucks", {"horizon": 90.0}), (CHANGER,))
+    for changed in (weak, load_scenario("paper", {"max_vehicles": 50}), trucks):
         with pytest.raises(ScenarioError, match="must be those that the environment was made with"):
             check_spaces(changed, made, (CHANGER, FOLLOWER))

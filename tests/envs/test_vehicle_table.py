@@ -3,26 +3,29 @@
 from functools import partial
 
 import numpy as np
+from staging import TRUCK
 
 from marl_lanes import LaneChangeEnv, parallel_env
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS, read_vehicle_table
+from marl_lanes.envs.vehicle_table import read_vehicle_table, state_columns
 from marl_lanes.traffic.machine.state import NONE
 
 
 def test_state_shows_every_vehicle_by_decreasing_position():
     road = parallel_env("dense", seed=0)
     road.reset(seed=0)
-    commanded = set()
+    commanded, columns = set(), state_columns(road.scenario)
+    motion = "position", "lateral_position", "speed", "acceleration", "yaw", "yaw_rate"
+    assert columns == (*motion, "agent")
     while road.agents:
         state = road.state()
         assert road.state_space.contains(state)
         count = int(road.simulator.roads["num_vehicles"][0])
-        rows = dict(zip(STATE_COLUMNS, state.T, strict=True))
+        rows = dict(zip(columns, state.T, strict=True))
         cars = road.simulator.vehicles[0]
         present = cars[cars["id"] != NONE]
         present = present[np.argsort(-present["position"], kind="stable")]
         assert len(present) == count > 5
-        for name in STATE_COLUMNS[:-1]:
+        for name in columns[:-1]:
             assert np.array_equal(rows[name][:count], present[name].astype(np.float32))
         assert not state[count:, :-1].any()
         assert (rows["agent"][count:] == NONE).all()
@@ -60,3 +63,25 @@ def test_every_road_of_the_batched_environment_has_its_state():
             for one, now in zip(alone, steps, strict=True)
         ]
     assert seen >= {NONE, 0, 1}
+
+
+def test_with_vehicles_of_several_sizes_the_state_shows_each_size():
+    """A critic must know them: gaps are between bumpers, and positions are those of centres."""
+    road = parallel_env("trucks", seed=2)
+    road.reset()
+    assert state_columns(road.scenario)[-3:] == ("length", "width", "agent")
+    state, cars = road.state(), road.simulator.vehicles[0]
+    assert road.state_space.contains(state)
+    count = int(road.simulator.roads["num_vehicles"][0])
+    order = road.simulator.state.order[0, :count]
+    is_truck = cars["profile"][order] == TRUCK
+    assert set(is_truck.tolist()) == {True, False}
+    sizes = np.where(is_truck[:, None], [16.5, 2.55], [4.8, 1.8]).astype(np.float32)
+    assert np.array_equal(state[:count, -3:-1], sizes)
+    assert not state[count:, -3:-1].any()
+    env = LaneChangeEnv("trucks", 2, seed=2, has_state=True)
+    step = env.reset()
+    assert env.observation_spec.contains(step.select(*env.observation_spec.keys()))
+    assert step["state"].shape == (2, road.scenario.max_vehicles, 9)
+    alone = read_vehicle_table(env.simulator)
+    assert np.array_equal(step["state"][0, :, :-1].numpy(), alone[:, :-1])

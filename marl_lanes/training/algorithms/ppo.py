@@ -17,7 +17,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
 
 from marl_lanes.envs.batched import LaneChangeEnv
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS
+from marl_lanes.envs.vehicle_table import state_columns
 from marl_lanes.scenario.fields import NonNegative, Positive, Real, Section
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.training.algorithms.actor_critic import ActorNetwork, Gaussian, ValueNetwork
@@ -34,11 +34,14 @@ from marl_lanes.training.config import Magnitude, OnPolicyConfig
 from marl_lanes.training.experience import Epochs
 from marl_lanes.training.transitions import CPU, live_transitions, send
 
-STATE_SCALES = (500.0, 10.0, 20.0, 10.0, 0.3, 0.3)
-"""In the units of STATE_COLUMNS without the last: what the critic sees as 1.
+STATE_SCALES = (500.0, 10.0, 20.0, 10.0, 0.3, 0.3, 20.0, 3.0)
+"""In the units of ``state_columns`` without the last: what the critic sees as 1.
 
 They are large: it sees hundreds of numbers of other vehicles, most of which do not matter.
 """
+
+_NUM_RELATIVE = 3
+"""Position, lateral position and speed, the first columns, are relative to the agent's."""
 
 
 class PPOLossConfig(Section):
@@ -117,7 +120,8 @@ class PPO(Algorithm):
         sigma[1:] *= config.exploration.longitudinal_factor
         self.gaussian = Gaussian(network, sigma)
         self.distribution = self.gaussian.policy()
-        num_more = env.scenario.max_vehicles * len(STATE_SCALES) if is_centralised else 0
+        num_numbers = len(state_columns(env.scenario)) - 1
+        num_more = env.scenario.max_vehicles * num_numbers if is_centralised else 0
         self.critic = ValueOperator(
             ValueNetwork(network, config.network.hidden_sizes, num_more),
             in_keys=["observation", "state"] if is_centralised else ["observation"],
@@ -214,7 +218,7 @@ def take_surroundings(states: Tensor, acting: Tensor) -> Tensor:
     are zero; all are, where the agent's vehicle is not on the road any more.
 
     Args:
-        states: (..., V, columns) of the roads, with the columns STATE_COLUMNS.
+        states: (..., V, columns) of the roads, with the columns ``state_columns``.
         acting: (..., A) bool.
 
     Returns:
@@ -222,12 +226,12 @@ def take_surroundings(states: Tensor, acting: Tensor) -> Tensor:
     """
     *roads, slots = acting.nonzero(as_tuple=True)
     rows = states[tuple(roads)]
-    is_own = rows[..., STATE_COLUMNS.index("agent")] == slots.unsqueeze(-1)
+    is_own = rows[..., -1] == slots.unsqueeze(-1)
     numbers = rows[..., :-1]
     is_there = numbers.any(-1) & is_own.any(-1, keepdim=True)
     own = (numbers * is_own.unsqueeze(-1)).sum(-2, keepdim=True)
-    own[..., STATE_COLUMNS.index("acceleration") :] = 0.0
-    seen = (numbers - own) / numbers.new_tensor(STATE_SCALES)
+    own[..., _NUM_RELATIVE:] = 0.0
+    seen = (numbers - own) / numbers.new_tensor(STATE_SCALES[: numbers.shape[-1]])
     distance = seen[..., 0].abs().where(is_there, torch.inf)
     seen = seen * is_there.unsqueeze(-1)
     order = distance.argsort(dim=-1, stable=True).unsqueeze(-1)

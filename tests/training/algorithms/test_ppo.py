@@ -6,7 +6,8 @@ import pytest
 import torch
 from learners import TWO_ACTIONS, baseline, check_resuming, state
 
-from marl_lanes.envs.vehicle_table import STATE_COLUMNS
+from marl_lanes import load_scenario
+from marl_lanes.envs.vehicle_table import state_columns
 from marl_lanes.training.algorithms.ppo import STATE_SCALES, take_surroundings
 from marl_lanes.training.transitions import live_transitions
 
@@ -134,11 +135,11 @@ def test_the_critic_sees_every_vehicle_from_the_agents_place():
             [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0],
         ]
     )
-    assert len(STATE_SCALES) == len(STATE_COLUMNS) - 1
+    assert len(STATE_SCALES) == len(state_columns(load_scenario("trucks"))) - 1
     acting = torch.tensor([[True, True, False], [False, False, True]])
     seen = take_surroundings(torch.stack([road, road]), acting).unflatten(-1, (4, 6))
     assert seen.shape == (3, 4, 6)
-    scales = torch.tensor(STATE_SCALES)
+    scales = torch.tensor(STATE_SCALES[:6])
     first, second, third = seen * scales
     # Slot 0: its own vehicle, then by distance.
     torch.testing.assert_close(first[:, 0], torch.tensor([0.0, 70.0, 80.0, 0.0]))
@@ -147,6 +148,12 @@ def test_the_critic_sees_every_vehicle_from_the_agents_place():
     torch.testing.assert_close(second[:, 2], torch.tensor([0.0, 1.0, -1.0, 0.0]))
     torch.testing.assert_close(second[0, 3:], road[1, 3:6])
     assert not third.any()
+    # With sizes: as they are, of every vehicle.
+    sizes = torch.tensor([[16.5, 2.55], [4.8, 1.8], [4.8, 1.8], [0.0, 0.0]])
+    sized = torch.cat([road[:, :-1], sizes, road[:, -1:]], -1)
+    wide = take_surroundings(torch.stack([sized, sized]), acting).unflatten(-1, (4, 8))
+    assert torch.equal(wide[..., :6], seen)
+    assert wide[0, :, 6].tolist() == pytest.approx([0.24, 0.24, 0.825, 0.0])
 
 
 @pytest.mark.training
