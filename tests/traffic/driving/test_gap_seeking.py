@@ -213,8 +213,8 @@ def test_the_kinematic_gap_by_hand(closing, gap):
     assert on_columns(needed_gap)(20.0, closing, 30.0, None, constants) == pytest.approx(gap)
 
 
-@pytest.mark.parametrize(("own", "ahead", "behind"), [(0, TRUCK, 0), (TRUCK, 0, TRUCK)])
-def test_the_window_is_between_bumpers(own, ahead, behind):
+@pytest.mark.parametrize(("own", "other"), [(0, TRUCK), (TRUCK, 0)])
+def test_the_window_is_between_bumpers(own, other):
     """The rule kinematic needs 2 m + 0.4 s * 20 m/s; the aim is 3 m within the window's edge."""
     simulator = simulator_of(gap={"rule": "kinematic"})
     half = {0: 2.4, TRUCK: 8.25}
@@ -222,15 +222,15 @@ def test_the_window_is_between_bumpers(own, ahead, behind):
     stage(
         simulator,
         {"lane": 1, "position": 200.0, "profile": own},
-        {**there, "position": 290.0, "profile": ahead},
-        {**there, "position": 210.0, "profile": behind},
+        {**there, "position": 290.0, "profile": other},
+        {**there, "position": 210.0, "profile": other},
     )
     profiles, constants = simulator.parameters.profiles, simulator.parameters.constants[0]
     order = simulator.state.order[0]
     _, way, aim = aims(simulator.vehicles[0], 0, 1, order, profiles, constants)
-    assert way == pytest.approx(210.0 + half[behind] + 10.0 + half[own] - 200.0)
+    assert way == pytest.approx(210.0 + half[other] + 10.0 + half[own] - 200.0)
     assert aim == pytest.approx(way + 3.0)
     _, way, _ = aims(simulator.vehicles[0], 0, -1, order, profiles, constants)
     assert way == 0.0
     _, way, aim = aims(simulator.vehicles[0], 1, -1, order, profiles, constants)
-    assert way == pytest.approx(210.0 - half[behind] - 10.0 - half[own] - 200.0)
+    assert way == pytest.approx(210.0 - half[other] - 10.0 - half[own] - 200.0)
