@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario
 
-FOLLOWER_ACCELERATION = 1.5
-"""[m/s^2] Of a follower that closes the gap; half of the shipped adversary's largest, because its
-own leader and its speed hold it back."""
+FOLLOWER_ACCELERATION = 1.75
+"""[m/s^2] Of a follower that closes the gap; less than the shipped adversary's largest, 3 m/s^2,
+because its own leader and its speed hold it back."""
 
 REACTION = 0.1
 """[s] Beyond the time of the way to the marking: steering does not act at once."""
@@ -35,13 +35,11 @@ class Anticipation:
     Args:
         scenario: its road, vehicles, drivers and gap rule.
         lateral_limit: largest lateral acceleration on the way to the marking [m/s^2].
-        acceleration: a, while engaged [m/s^2].
         follower_acceleration: a_f [m/s^2].
     """
 
     scenario: Scenario
     lateral_limit: float
-    acceleration: float
     follower_acceleration: float = FOLLOWER_ACCELERATION
 
     def foresees_abort(
@@ -49,6 +47,7 @@ class Anticipation:
         speed: Column,
         deviation: Column,
         yaw: Column,
+        acceleration: Column,
         gap: Column,
         relative_speed: Column,
     ) -> NDArray[np.bool_]:
@@ -58,6 +57,7 @@ class Anticipation:
             speed: of the changer, (N,) [m/s].
             deviation: to the target lane's centre, (N,) [m].
             yaw: relative to the road, (N,) [rad].
+            acceleration: of the changer from now on, (N,) [m/s^2].
             gap: to the follower in the target lane, bumper to bumper, (N,) [m].
             relative_speed: the follower's speed minus the changer's, (N,) [m/s].
 
@@ -65,7 +65,7 @@ class Anticipation:
             (N,).
         """
         time = self.time_to_marking(deviation, speed * np.sin(yaw))
-        closing = relative_speed + (self.follower_acceleration - self.acceleration) * time
+        closing = relative_speed + (self.follower_acceleration - acceleration) * time
         left = gap - (relative_speed + closing) / 2.0 * time
         behind = speed + relative_speed + self.follower_acceleration * time
         has_begun = deviation <= self.scenario.road.lane_width - BEGUN

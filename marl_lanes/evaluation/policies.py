@@ -106,19 +106,24 @@ def make_anticipating_cascade_policy(
         ScenarioError: a feature that it needs is not observed.
     """
     cascade = _cascade(TUNED_CASCADE._replace(lateral_limit=lateral_limit))
-    own = urge if scenario.action.longitudinal is not None else 0.0
-    anticipation = Anticipation(scenario, lateral_limit, own)
+    anticipation = Anticipation(scenario, lateral_limit)
+    chosen = scenario.action.longitudinal
 
     def steer(
         speed: Column, deviation: Column, yaw: Column, turning: Column, *others: Column
     ) -> Column:
-        gap, relative_speed, phase = others
+        gap, relative_speed, phase, acceleration = others
+        if chosen is not None:
+            acceleration = np.clip(
+                acceleration + urge, -chosen.max_braking, chosen.max_acceleration
+            )
         waits = (phase == Phase.ENGAGED) & anticipation.foresees_abort(
-            speed, deviation, yaw, gap, relative_speed
+            speed, deviation, yaw, acceleration, gap, relative_speed
         )
         return cascade(speed, np.where(waits, 0.0, deviation), yaw, turning)
 
-    more = ("target_follower_gap", "target_follower_relative_speed", "phase")
+    own = "acceleration" if chosen is None else _CAR_FOLLOWING
+    more = ("target_follower_gap", "target_follower_relative_speed", "phase", own)
     return _make_steering_policy(scenario, "anticipating-cascade", steer, more, urge=urge)
 
 
