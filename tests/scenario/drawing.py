@@ -86,7 +86,9 @@ def draw_fields(generator, corner=None):
     fields["followers"]["mix"] = {kind: float(generator.integers(1, 4)) for kind in kinds}
     fields["observation"]["features"] = list(FeatureName.__args__)
     road, vehicle = fields["road"], fields["vehicle"]
-    vehicle["width"] = min(vehicle["width"], 0.9 * road["lane_width"])
+    for body in (vehicle, *fields["drivers"]["profiles"].values()):
+        if body["width"] is not None:
+            body["width"] = min(body["width"], 0.9 * road["lane_width"])
     rule = fields["completion"]
     rule["max_deviation"] = min(rule["max_deviation"], 0.45 * road["lane_width"])
     position = fields["command"]["position"]
