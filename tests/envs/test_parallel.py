@@ -477,9 +477,9 @@ def test_an_option_begins_in_a_snapshot():
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"num_agents": 3}, "num_agents, max_vehicles, time_step, observations and actions must"),
-        ({"observation": {"features": ["speed"]}}, "observations and actions must be those"),
-        ({"action": {"max_yaw_acceleration": 0.1}}, "observations and actions must be those"),
+        ({"num_agents": 3}, "num_agents, max_vehicles, time_step, observations, actions and"),
+        ({"observation": {"features": ["speed"]}}, "the columns of the state must be those"),
+        ({"action": {"max_yaw_acceleration": 0.1}}, "the columns of the state must be those"),
         ({"density": 3.0}, "density"),
         ({"command": {"probability": 0.0}}, r"command\.probability > 0"),
     ],

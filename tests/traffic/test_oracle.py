@@ -6,6 +6,7 @@ import pytest
 from drawn_scenarios import Drawn, drawn, share_of
 from hypothesis import example, given
 from oracle import follow_from_reset
+from staging import MIXED
 
 from marl_lanes.traffic.machine.state import CollisionKind, Outcome, Phase
 
@@ -26,6 +27,7 @@ def hold(number, *, is_whole):
     @share_of(number, is_whole=is_whole)
     @given(drawn())
     @example(Drawn({"command": {"position": [0.0, 0.0]}}))
+    @example(Drawn({**MIXED, "vehicle": {"width": 2.0}}, seed=3, noise=0.4, bias=0.3))
     def compare(case):
         met.update(follow_from_reset(case, NUM_STEPS))
         met["cases"] += 1
