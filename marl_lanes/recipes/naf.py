@@ -11,7 +11,11 @@ import torch
 from torch import Tensor
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
-from marl_lanes.evaluation.policies import make_assertive_cascade_policy, make_mpc_policy
+from marl_lanes.evaluation.policies import (
+    make_anticipating_cascade_policy,
+    make_assertive_cascade_policy,
+    make_mpc_policy,
+)
 from marl_lanes.experiment import run, start
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.naf.encoder import make_encoder
@@ -25,7 +29,11 @@ from marl_lanes.training.config import ConfigError, read_changers_config
 from marl_lanes.training.demonstrations import collect_demonstrations, imitate
 from marl_lanes.training.sizes import check_networks
 
-EXPERTS = {"mpc": make_mpc_policy, "assertive-cascade": make_assertive_cascade_policy}
+EXPERTS = {
+    "mpc": make_mpc_policy,
+    "assertive-cascade": make_assertive_cascade_policy,
+    "anticipating-cascade": make_anticipating_cascade_policy,
+}
 """That demonstrate."""
 
 DESCRIPTION = """\

@@ -33,7 +33,9 @@ Expert = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 class DemonstrationsConfig(Section):
     """Transitions of an expert that mu is fitted to before stage one."""
 
-    policy: Literal["mpc", "assertive-cascade"] = Field(description="that drives")
+    policy: Literal["mpc", "assertive-cascade", "anticipating-cascade"] = Field(
+        description="that drives"
+    )
     num_transitions: CountOrZero = Field(
         description="transitions that it drives before the training; 0: mu is not fitted"
     )
