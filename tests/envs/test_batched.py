@@ -289,9 +289,9 @@ def test_a_command_that_times_out_is_truncated_and_its_slot_is_used_again():
         [(group, "observation") for group in groups],
         [(group, "action") for group in groups],
     )
-    steps = env.rollout(200, idle)
+    steps = env.rollout(300, idle)
     is_over = steps["next", "changers", "outcome"] == Outcome.TIMED_OUT
-    assert is_over.sum(1).min() > 3
+    assert is_over.sum(1).min() > 2
     for group in groups:
         after = steps["next", group]
         assert torch.equal(after["done"].squeeze(-1), is_over)
