@@ -39,8 +39,9 @@ EXPERTS = {
 DESCRIPTION = """\
 Train the shared NAF policy of all lane changers, evaluate it, write its report.
 
-A recipe has values for all fields: fast (two minutes), interactive or paper. A
-scenario with two actions gets the recipe interactive, others the recipe fast.
+A recipe has values for all fields: fast (two minutes), long (nearer to the
+optimum), interactive or paper. A scenario with two actions gets the recipe
+interactive, others the recipe fast.
 
 examples:
   %(prog)s output=runs/first seed=1
@@ -114,8 +115,8 @@ def make_algorithm(
     return NAF(config, env, network, device=device, acting_device=acting_device)
 
 
-def demonstrate(config: TrainingConfig, scenario: Scenario) -> tuple[Tensor, Tensor]:
-    """Transitions of a policy without learning: what it saw, and what it did."""
+def demonstrate(config: TrainingConfig, scenario: Scenario) -> tuple[Tensor, Tensor, Tensor]:
+    """A policy without learning: what it saw, what it did, and what of it had an effect."""
     number = config.demonstrations.num_transitions
     try:
         expert = EXPERTS[config.demonstrations.policy](scenario)
