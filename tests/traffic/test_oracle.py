@@ -26,6 +26,7 @@ def hold(number, *, is_whole):
     @share_of(number, is_whole=is_whole)
     @given(drawn())
     @example(Drawn({"command": {"position": [0.0, 0.0]}}))
+    @example(Drawn({"command": {"position": [20.0, 80.0], "lanes": [0, 2, 4], "time_limit": 3.0}}))
     def compare(case):
         met.update(follow_from_reset(case, NUM_STEPS))
         met["cases"] += 1
