@@ -32,6 +32,8 @@ def told_as(point):
     return f"return {float(point[1]):.2f}, completed {float(point[2]):.2f}"
 
 
+# Raised inside AgileRL when it is imported.
+@pytest.mark.filterwarnings("ignore:MakeEvolvable will be deprecated:DeprecationWarning")
 @pytest.mark.training
 @pytest.mark.parametrize("name", NEEDS)
 def test_an_example_trains_and_measures(name, tmp_path, monkeypatch, capsys):

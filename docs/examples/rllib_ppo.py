@@ -11,11 +11,11 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from marl_lanes.integrations.rllib import LaneChangeMultiAgentEnv
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--iterations", type=int, default=20, help="of 2048 steps")
+parser.add_argument("--iterations", type=int, default=20, help="of 1024 steps")
 add_options(parser)
 arguments = parser.parse_args()
 
-NUM_STEPS = 2048
+NUM_STEPS = 1024
 
 config = (
     PPOConfig()
@@ -29,12 +29,12 @@ config = (
     .training(
         gamma=0.97,
         lambda_=0.95,
-        lr=3e-4,
+        lr=1e-3,
         clip_param=0.2,
         grad_clip=0.5,
         train_batch_size=NUM_STEPS,
         minibatch_size=256,
-        num_epochs=10,
+        num_epochs=16,
         use_kl_loss=False,
     )
     .env_runners(num_env_runners=0)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from marl_lanes.evaluation.style import WIDTH, styled, write_figure
 
@@ -34,6 +34,8 @@ def draw(curves: Sequence[Path], figures: Sequence[Path]) -> None:
         right.plot(steps, shares, label=path.stem)
     left.set(xlabel="steps of a road", ylabel="mean return of a command")
     right.set(xlabel="steps of a road", ylabel="commands completed", ylim=(-0.03, 1.03))
+    left.xaxis.set_major_locator(MaxNLocator(4))
+    left.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     right.yaxis.set_major_formatter(PercentFormatter(1.0))
     figure.legend(*left.get_legend_handles_labels(), loc="outside right center")
     write_figure(figure, *figures)
