@@ -32,8 +32,9 @@ def told_as(point):
     return f"return {float(point[1]):.2f}, completed {float(point[2]):.2f}"
 
 
-# Raised inside AgileRL when it is imported.
+# Raised inside AgileRL when it is imported, and by Tianshou, which takes the actor for a bounded one.
 @pytest.mark.filterwarnings("ignore:MakeEvolvable will be deprecated:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:action_scaling and action_bound_method are:UserWarning")
 @pytest.mark.training
 @pytest.mark.parametrize("name", NEEDS)
 def test_an_example_trains_and_measures(name, tmp_path, monkeypatch, capsys):

@@ -85,7 +85,7 @@ def act(rows):
     return actor.head_net.dist.mu[:, :1].clamp(-1.0, 1.0).numpy()
 
 
-curve = Curve(act, arguments.steps, arguments)
+curve = Curve(act, arguments)
 for k in range(1, NUM_POINTS + 1):
     num_steps = arguments.steps * k // NUM_POINTS
     train_multi_agent_on_policy(
@@ -97,5 +97,5 @@ for k in range(1, NUM_POINTS + 1):
         evo_steps=NUM_STEPS * places.num_envs,
         verbose=False,
     )
-    curve.reach(num_steps)
+    curve.reach(num_steps, k / NUM_POINTS)
 curve.end(arguments.steps)

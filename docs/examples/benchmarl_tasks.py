@@ -21,7 +21,7 @@ ALGORITHMS = {
 }
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=list(ALGORITHMS))
-parser.add_argument("--iterations", type=int, default=40, help="of 2048 steps of a road")
+parser.add_argument("--iterations", type=int, default=20, help="of 2048 steps of a road")
 add_options(parser)
 arguments = parser.parse_args()
 
@@ -48,7 +48,8 @@ class Measuring(Callback):
     """Measures on the way."""
 
     def on_train_end(self, *_):
-        curve.reach((self.experiment.n_iters_performed + 1) * NUM_STEPS)
+        done = self.experiment.n_iters_performed + 1
+        curve.reach(done * NUM_STEPS, done / arguments.iterations)
 
 
 def policy_of(experiment):
@@ -73,8 +74,6 @@ for name in arguments.algorithms:
     if hasattr(algorithm, "scale_mapping"):
         # A standard deviation of 1 would cover the whole range of actions.
         algorithm.scale_mapping = "biased_softplus_0.2"
-    if hasattr(algorithm, "lmbda"):
-        algorithm.lmbda = 0.95
     with tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
             task=LaneChangeTask({"scenario": SCENARIO, "overrides": endless}),
@@ -87,6 +86,6 @@ for name in arguments.algorithms:
             callbacks=[Measuring()],
         )
         act = policy_of(experiment)
-        curve = Curve(act, arguments.iterations * NUM_STEPS, arguments, f"{name}, ")
+        curve = Curve(act, arguments, f"{name}, ")
         experiment.run()
         curve.end(arguments.iterations * NUM_STEPS)

@@ -41,23 +41,27 @@ class Curve:
 
     Args:
         act: normalised observations (N, F) to normalised actions (N, D).
-        num_steps: of a road, that the training will have.
         options: those of ``add_options``.
         name: begins the lines of text.
     """
 
-    def __init__(self, act, num_steps, options, name=""):
+    def __init__(self, act, options, name=""):
         self._act, self._options, self._name = act, options, name
-        self._places = np.arange(1, NUM_POINTS) * num_steps // NUM_POINTS
+        self._num_points = 0
         self._rows = ["num_steps,return,completed"]
         self._measure(0, "before")
 
-    def reach(self, num_steps):
-        """Measure where the training has come to the next point, if a curve is wanted."""
-        is_reached = self._places <= num_steps
-        self._places = self._places[~is_reached]
-        if self._options.curve and is_reached.any():
+    def reach(self, num_steps, share):
+        """Measure where the training has come to the next point, if a curve is wanted.
+
+        Args:
+            num_steps: of a road, until now.
+            share: of the training that is done.
+        """
+        num_points = int(share * NUM_POINTS)
+        if self._options.curve and self._num_points < num_points < NUM_POINTS:
             self._measure(num_steps, f"{num_steps:,} steps")
+        self._num_points = num_points
 
     def end(self, num_steps):
         """Measure after the training, and write the curve if one is wanted."""

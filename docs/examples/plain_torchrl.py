@@ -71,7 +71,7 @@ def act(rows):
 
 num_frames = 16 * 128
 num_steps = arguments.iterations * num_frames
-curve = Curve(act, num_steps, arguments)
+curve = Curve(act, arguments)
 collector = Collector(
     env,
     policy,
@@ -98,5 +98,5 @@ for k, batch in enumerate(collector, 1):
             nn.utils.clip_grad_norm_(loss.parameters(), 1.0)
             optimizer.step()
     collector.update_policy_weights_()
-    curve.reach(k * num_frames)
+    curve.reach(k * num_frames, k / arguments.iterations)
 curve.end(num_steps)

@@ -11,11 +11,11 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from marl_lanes.integrations.rllib import LaneChangeMultiAgentEnv
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--iterations", type=int, default=20, help="of 1024 steps")
+parser.add_argument("--iterations", type=int, default=8, help="of 2048 steps")
 add_options(parser)
 arguments = parser.parse_args()
 
-NUM_STEPS = 1024
+NUM_STEPS = 2048
 
 config = (
     PPOConfig()
@@ -28,14 +28,11 @@ config = (
     )
     .training(
         gamma=0.97,
-        lambda_=0.95,
         lr=1e-3,
-        clip_param=0.2,
-        grad_clip=0.5,
         train_batch_size=NUM_STEPS,
         minibatch_size=256,
-        num_epochs=16,
-        use_kl_loss=False,
+        num_epochs=8,
+        kl_coeff=0.0,
     )
     .env_runners(num_env_runners=0)
     .debugging(seed=0, log_level="ERROR")
@@ -57,9 +54,9 @@ def act(rows):
     return np.clip(found["action_dist_inputs"][:, :1].numpy(), -1.0, 1.0)
 
 
-curve = Curve(act, arguments.iterations * NUM_STEPS, arguments)
+curve = Curve(act, arguments)
 for k in range(1, arguments.iterations + 1):
     algorithm.train()
-    curve.reach(k * NUM_STEPS)
+    curve.reach(k * NUM_STEPS, k / arguments.iterations)
 curve.end(arguments.iterations * NUM_STEPS)
 algorithm.stop()

@@ -11,7 +11,7 @@ from torch.distributions import Normal
 from marl_lanes import parallel_env
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--iterations", type=int, default=20, help="of 1024 steps of a road")
+parser.add_argument("--iterations", type=int, default=20, help="of 1024 steps of agents")
 add_options(parser)
 arguments = parser.parse_args()
 torch.manual_seed(0)
@@ -42,10 +42,10 @@ def act(rows):
 
 
 @torch.no_grad()
-def collect(least):
+def collect(num_rows):
     """Whole episodes; each agent's life is a list of its own: rows and the value after its end."""
     lives, num_steps = [], 0
-    while num_steps < least:
+    while sum(len(rows) for rows, _ in lives) < num_rows:
         observations, _ = env.reset()
         open_lives = {}
         while env.agents:
@@ -76,8 +76,8 @@ def advantages_of(values, rewards, last):
     return found
 
 
-curve, num_taken = Curve(act, arguments.iterations * 1024, arguments), 0
-for _ in range(arguments.iterations):
+curve, num_taken = Curve(act, arguments), 0
+for k in range(1, arguments.iterations + 1):
     columns = [[], [], [], [], []]
     lives, num_steps = collect(1024)
     for rows, last in lives:
@@ -100,5 +100,5 @@ for _ in range(arguments.iterations):
             (0.5 * error - gain).backward()
             optimizer.step()
     num_taken += num_steps
-    curve.reach(num_taken)
+    curve.reach(num_taken, k / arguments.iterations)
 curve.end(num_taken)

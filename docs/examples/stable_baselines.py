@@ -41,9 +41,13 @@ def act(rows):
     return model.predict(np.hstack([rows, flags]), deterministic=True)[0]
 
 
-curve = Curve(act, arguments.timesteps // NUM_AGENTS, arguments)
-model.learn(
-    arguments.timesteps,
-    callback=lambda here, _: curve.reach(here["self"].num_timesteps // NUM_AGENTS) or True,
-)
+def note(here, _):
+    """Measure on the way; True goes on."""
+    done = here["self"].num_timesteps
+    curve.reach(done // NUM_AGENTS, done / arguments.timesteps)
+    return True
+
+
+curve = Curve(act, arguments)
+model.learn(arguments.timesteps, callback=note)
 curve.end(model.num_timesteps // NUM_AGENTS)

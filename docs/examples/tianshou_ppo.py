@@ -90,9 +90,6 @@ policy = ProbabilisticActorPolicy(
     actor=actor,
     dist_fn=lambda parts: Independent(Normal(*parts), 1),
     action_space=action_space,
-    # The road does both.
-    action_scaling=False,
-    action_bound_method=None,
 )
 learner = PPO(
     policy=policy,
@@ -112,7 +109,7 @@ def act(rows):
     return mean.clamp(-1.0, 1.0).numpy()
 
 
-curve = Curve(act, arguments.steps, arguments)
+curve = Curve(act, arguments)
 num_rows = NUM_STEPS * len(places)
 learner.run_training(
     OnPolicyTrainerParams(
@@ -122,7 +119,9 @@ learner.run_training(
         collection_step_num_env_steps=num_rows,
         update_step_num_repetitions=10,
         batch_size=256,
-        training_fn=lambda _, num_taken: curve.reach(num_taken // len(places)),
+        training_fn=lambda _, done: curve.reach(
+            done // len(places), done / len(places) / arguments.steps
+        ),
         show_progress=False,
         verbose=False,
     )
