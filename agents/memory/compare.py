@@ -42,14 +42,15 @@ VIEWS: Mapping[str, tuple[Mapping[str, Any], str]] = {
 STAGE_ONE = 0.375
 """Of the transitions. After a shorter one the policy is lost as soon as mu learns."""
 SETTINGS: Mapping[str, Any] = {
-    "collector.num_envs": 256,
-    "replay.batch_size": 256,
-    "loss.num_steps": 8,
-    "exploration.probability": 0.3,
+    "demonstrations.num_transitions": 0,
+    "network.mu": "cascade+idm",
+    "network.hidden_sizes": "[64,64]",
+    "optimizer.mu_learning_rate": 0.0002,
     "optimizer.longitudinal_learning_rate": 0.0004,
+    "evaluation.criterion": "success_rate",
 }
-"""Where it differs from the recipe: fewer roads, so that each is simulated long enough for changes
-to be missed; what happens late reaches the waiting states sooner; a faster second action."""
+"""Where it differs from the recipe: nothing is demonstrated, so that all that a policy knows of the
+others it has learned; mu moves faster."""
 NUM_SAVED = 8
 """Models, of which the best becomes the final one."""
 NUM_MANEUVERS = 200

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 UNTRAINED = (
     "tuned-cascade",
     "assertive-cascade",
+    "anticipating-cascade",
     "quintic",
     "mpc",
     "cascade-prior",
@@ -58,6 +59,8 @@ def make_policy(name: str, scenario: "Scenario", seed: int) -> Any:
         return policies.make_tuned_cascade_policy(scenario)
     if name == "assertive-cascade":
         return policies.make_assertive_cascade_policy(scenario)
+    if name == "anticipating-cascade":
+        return policies.make_anticipating_cascade_policy(scenario)
     if name == "quintic":
         return policies.make_quintic_policy(scenario)
     if name == "mpc":

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from marl_lanes.evaluation.anticipation import Anticipation
 from marl_lanes.evaluation.driving import Policy
 from marl_lanes.evaluation.mpc import RecedingHorizon
 from marl_lanes.evaluation.quintic import steer_by_quintic
@@ -86,6 +87,44 @@ def make_assertive_cascade_policy(
     """
     steer = _cascade(TUNED_CASCADE._replace(lateral_limit=lateral_limit))
     return _make_steering_policy(scenario, "assertive-cascade", steer, urge=urge)
+
+
+def make_anticipating_cascade_policy(
+    scenario: Scenario, *, lateral_limit: float = LATERAL_LIMIT, urge: float = URGE
+) -> Policy:
+    """The assertive cascade, which does not begin where it foresees that it must abort.
+
+    While it is engaged, at its own lane's centre, and the follower in the target lane would be too
+    near by the time that the body is over the marking (`Anticipation`), it stays where it is.
+
+    Args:
+        scenario: that it drives on.
+        lateral_limit: largest lateral acceleration on the way to the target lane [m/s^2].
+        urge: beyond car following while engaged [m/s^2].
+
+    Raises:
+        ScenarioError: a feature that it needs is not observed.
+    """
+    cascade = _cascade(TUNED_CASCADE._replace(lateral_limit=lateral_limit))
+    anticipation = Anticipation(scenario, lateral_limit)
+    chosen = scenario.action.longitudinal
+
+    def steer(
+        speed: Column, deviation: Column, yaw: Column, turning: Column, *others: Column
+    ) -> Column:
+        gap, relative_speed, phase, acceleration = others
+        if chosen is not None:
+            acceleration = np.clip(
+                acceleration + urge, -chosen.max_braking, chosen.max_acceleration
+            )
+        waits = (phase == Phase.ENGAGED) & anticipation.foresees_abort(
+            speed, deviation, yaw, acceleration, gap, relative_speed
+        )
+        return cascade(speed, np.where(waits, 0.0, deviation), yaw, turning)
+
+    own = "acceleration" if chosen is None else _CAR_FOLLOWING
+    more = ("target_follower_gap", "target_follower_relative_speed", "phase", own)
+    return _make_steering_policy(scenario, "anticipating-cascade", steer, more, urge=urge)
 
 
 def make_quintic_policy(scenario: Scenario) -> Policy:

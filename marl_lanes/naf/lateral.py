@@ -274,13 +274,38 @@ class CascadeMu(_YawAcceleration):
         """The greedy yaw acceleration [rad/s^2], and the slope of the cost |a| at it."""
         speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
         gains = self.gains(speed, normalised)
-        return steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, gains)
+        wanted = self.wanted(deviation, normalised)
+        return steer_by_cascade(speed, wanted, yaw, yaw_rate - curvature * speed, gains)
+
+    def wanted(self, deviation: Tensor, normalised: Tensor) -> Tensor:  # noqa: ARG002
+        """The deviation that it steers for, (..., 1) [m]."""
+        return deviation
 
 
 class SmoothCascadeMu(CascadeMu):
     """The cascade without its soft threshold, for comparison: it always steers a little."""
 
     has_threshold = False
+
+
+class GatedCascadeMu(CascadeMu):
+    """The cascade toward a share of the deviation, 0 to 1, from one more network, initially 0.98.
+
+    With the share 0 the vehicle goes straight on, within the threshold. So a policy can wait where
+    it foresees that a change would be aborted; nothing makes sure that it ever arrives.
+    """
+
+    initial_share = 0.98
+
+    def __init__(
+        self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
+    ) -> None:
+        super().__init__(name, features, box, hidden_sizes)
+        self.gate = Heads(len(features), hidden_sizes, [[_logit(self.initial_share)]])
+
+    def wanted(self, deviation: Tensor, normalised: Tensor) -> Tensor:
+        """The share of the deviation that it steers for, (..., 1) [m]."""
+        return deviation * torch.sigmoid(self.gate(normalised))
 
 
 def _logit(share: float) -> float:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from marl_lanes.naf.lateral import CascadeMu, DampedMu, PaperMu, SmoothCascadeMu
+from marl_lanes.naf.lateral import CascadeMu, DampedMu, GatedCascadeMu, PaperMu, SmoothCascadeMu
 from marl_lanes.naf.layers import ActionBox, Heads
 from marl_lanes.naf.structure import Mu
 
@@ -72,6 +72,7 @@ Make = Callable[[str, Sequence[str], ActionBox, Sequence[int]], Mu]
 LATERAL: dict[str, Make] = {
     "cascade": CascadeMu,
     "cascade-smooth": SmoothCascadeMu,
+    "cascade-gated": GatedCascadeMu,
     "paper": PaperMu,
     "damped": DampedMu,
 }
@@ -131,8 +132,8 @@ def make_mu(name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Se
     """The structure of that name.
 
     Args:
-        name: "cascade", "cascade-smooth", "paper" or "damped" for one action, each with "+idm" or
-            "+mlp" for two, "mlp" for any number.
+        name: "cascade", "cascade-smooth", "cascade-gated", "paper" or "damped" for one action,
+            each with "+idm" or "+mlp" for two, "mlp" for any number.
         features: names of the observation's columns.
         box: the admissible actions.
         hidden_sizes: widths of the hidden layers of each of its networks.

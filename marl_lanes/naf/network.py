@@ -47,10 +47,10 @@ class NAFNetwork(TensorDictModuleBase):
         action_low: lower bounds of the action, (action_dim,), in action units.
         action_high: upper bounds of the action, (action_dim,).
         mu: structure of mu. For one action: "cascade" (Eq. 7 with an inner yaw-rate loop),
-            "cascade-smooth" (the same without a soft threshold), "paper" (exactly Eq. 6 and
-            Eq. 7) or "damped" (three placed poles). For two actions: one of
-            these with "+idm" (car following and a correction) or "+mlp" for the second action.
-            "mlp" for any number.
+            "cascade-smooth" (the same without a soft threshold), "cascade-gated" (it can wait),
+            "paper" (exactly Eq. 6 and Eq. 7) or "damped" (three placed poles). For two actions:
+            one of these with "+idm" (car following and a correction) or "+mlp" for the second
+            action. "mlp" for any number.
         encoder: "none", "gru" for stacked observations (`GRUEncoder`), or "grid" for an occupancy
             grid (`GridEncoder`).
         hidden_sizes: widths of the hidden layers of every network.

@@ -11,7 +11,11 @@ import torch
 from torch import Tensor
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
-from marl_lanes.evaluation.policies import make_assertive_cascade_policy, make_mpc_policy
+from marl_lanes.evaluation.policies import (
+    make_anticipating_cascade_policy,
+    make_assertive_cascade_policy,
+    make_mpc_policy,
+)
 from marl_lanes.experiment import run, start
 from marl_lanes.naf.checkpoint import CheckpointError
 from marl_lanes.naf.encoder import make_encoder
@@ -25,14 +29,19 @@ from marl_lanes.training.config import ConfigError, read_changers_config
 from marl_lanes.training.demonstrations import collect_demonstrations, imitate
 from marl_lanes.training.sizes import check_networks
 
-EXPERTS = {"mpc": make_mpc_policy, "assertive-cascade": make_assertive_cascade_policy}
+EXPERTS = {
+    "mpc": make_mpc_policy,
+    "assertive-cascade": make_assertive_cascade_policy,
+    "anticipating-cascade": make_anticipating_cascade_policy,
+}
 """That demonstrate."""
 
 DESCRIPTION = """\
 Train the shared NAF policy of all lane changers, evaluate it, write its report.
 
-A recipe has values for all fields: fast (two minutes), interactive or paper. A
-scenario with two actions gets the recipe interactive, others the recipe fast.
+A recipe has values for all fields: fast (two minutes), long (nearer to the
+optimum), interactive or paper. A scenario with two actions gets the recipe
+interactive, others the recipe fast.
 
 examples:
   %(prog)s output=runs/first seed=1
@@ -106,8 +115,8 @@ def make_algorithm(
     return NAF(config, env, network, device=device, acting_device=acting_device)
 
 
-def demonstrate(config: TrainingConfig, scenario: Scenario) -> tuple[Tensor, Tensor]:
-    """Transitions of a policy without learning: what it saw, and what it did."""
+def demonstrate(config: TrainingConfig, scenario: Scenario) -> tuple[Tensor, Tensor, Tensor]:
+    """A policy without learning: what it saw, what it did, and what of it had an effect."""
     number = config.demonstrations.num_transitions
     try:
         expert = EXPERTS[config.demonstrations.policy](scenario)

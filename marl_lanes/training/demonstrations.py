@@ -19,6 +19,7 @@ from marl_lanes.memory import check_memory
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.fields import Section
+from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.simulator import Simulator
 from marl_lanes.training.config import CountOrZero, Magnitude, Number, Sigma
@@ -33,7 +34,9 @@ Expert = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 class DemonstrationsConfig(Section):
     """Transitions of an expert that mu is fitted to before stage one."""
 
-    policy: Literal["mpc", "assertive-cascade"] = Field(description="that drives")
+    policy: Literal["mpc", "assertive-cascade", "anticipating-cascade"] = Field(
+        description="that drives"
+    )
     num_transitions: CountOrZero = Field(
         description="transitions that it drives before the training; 0: mu is not fitted"
     )
@@ -47,14 +50,18 @@ class DemonstrationsConfig(Section):
 
 def collect_demonstrations(
     scenario: Scenario, expert: Expert, config: DemonstrationsConfig, seed: int
-) -> tuple[Tensor, Tensor]:
-    """Observations of acting agents, (N, F), and the expert's actions without noise, (N, D).
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What acting agents see, and what the expert does there without noise.
 
     Args:
         scenario: in which the training collects.
         expert: that drives.
         config: how many, and with which noise.
         seed: of traffic and noise.
+
+    Returns:
+        observations, (N, F); actions, (N, D); and which of these have an effect, (N, D), bool: the
+        steering of a waiting agent has none.
 
     Raises:
         ScenarioError: no agent is live for too long.
@@ -71,7 +78,7 @@ def collect_demonstrations(
     simulator.reset()
     generator = np.random.default_rng(seed)
     actions = np.zeros_like(simulator.actions)
-    seen, shown = [], []
+    seen, shown, effective = [], [], []
     num_found = num_idle = 0
     with tqdm(total=wanted, unit="tr", unit_scale=True, desc="demonstrations") as bar:
         while num_found < wanted:
@@ -84,26 +91,39 @@ def collect_demonstrations(
                 chosen = expert(observations)
                 seen.append(observations)
                 shown.append(chosen)
+                steers = simulator.state.agents["phase"][acting] != Phase.WAITING
+                effective.append(
+                    np.column_stack([steers, *[np.ones_like(steers)] * (low.size - 1)])
+                )
                 noise = config.sigma * generator.standard_normal(chosen.shape)
                 actions[acting] = np.clip(chosen + noise * (high - low) / 2.0, low, high)
             bar.update(min(len(observations), wanted - num_found))
             num_found += len(observations)
             simulator.step(actions)
-    rows = np.concatenate(seen)[:wanted], np.concatenate(shown)[:wanted]
-    return torch.as_tensor(rows[0]), torch.as_tensor(rows[1], dtype=torch.float32)
+    rows = [np.concatenate(parts)[:wanted] for parts in (seen, shown, effective)]
+    return (
+        torch.as_tensor(rows[0]),
+        torch.as_tensor(rows[1], dtype=torch.float32),
+        torch.as_tensor(rows[2]),
+    )
 
 
 def imitate(
-    network: NAFNetwork, observations: Tensor, actions: Tensor, config: DemonstrationsConfig
+    network: NAFNetwork,
+    observations: Tensor,
+    actions: Tensor,
+    effective: Tensor,
+    config: DemonstrationsConfig,
 ) -> float:
     """Fit the network's mu: minimum of the mean of |(mu(s) - a) / half range|^2.
 
-    Batches are drawn by torch's generator.
+    An action without effect counts as imitated. Batches are drawn by torch's generator.
 
     Args:
         network: whose mu is changed in place.
         observations: (N, F).
         actions: (N, D), to be imitated.
+        effective: (N, D), bool, which of these have an effect.
         config: number and size of the updates.
 
     Returns:
@@ -116,7 +136,7 @@ def imitate(
     for _ in tqdm(range(config.num_updates), desc="imitation"):
         drawn = torch.randint(len(observations), (config.batch_size,))
         difference = (policy(observations[drawn]) - actions[drawn]) / network.box.half_range
-        loss = difference.square().mean()
+        loss = (difference.square() * effective[drawn]).mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -12,12 +12,18 @@ from report.runs import make_run
 from marl_lanes import load_scenario
 from marl_lanes.cli.main import main
 from marl_lanes.cli.policies import UNTRAINED, find_training, is_policy, make_policy
+from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
 
 
 def test_every_name_is_a_policy_of_its_own():
-    scenario = load_scenario("paper")
-    observations = np.random.default_rng(0).normal(0.0, 0.1, (16, 6)).astype(np.float32)
+    scenario = load_scenario("interactive")
+    features = list(scenario.observation.features)
+    observations = np.random.default_rng(0).normal(0.0, 0.01, (16, len(features)))
+    for name, value in (("speed", 22.0), ("lateral_deviation", 3.75)):
+        observations[:, features.index(name)] += value
+    observations[:, features.index("phase")] = Phase.ENGAGED
+    observations = observations.astype(np.float32)
     actions = {name: make_policy(name, scenario, 3)(observations) for name in UNTRAINED}
     for name, found in actions.items():
         assert [other for other in UNTRAINED if np.array_equal(actions[other], found)] == [name]

@@ -12,7 +12,7 @@ def test_the_tasks_are_shipped_scenarios():
     assert set(TASKS) <= set(list_scenarios())
 
 
-@pytest.mark.parametrize("recipe", ["fast", "interactive", "paper"])
+@pytest.mark.parametrize("recipe", ["fast", "interactive", "long", "paper"])
 def test_no_recipe_trains_or_chooses_on_the_traffic_of_the_benchmark(recipe):
     config = typed(f"recipe={recipe}")
     used = {config.seed, config.evaluation.seed, config.evaluation.saved_models_seed}

@@ -212,6 +212,33 @@ def test_cascade_and_damped_mu_settle_and_the_papers_does_not():
     assert max(map(abs, paper[-100:])) > 1.0  # and oscillates ever more widely about it
 
 
+def test_the_gated_cascade_waits_and_goes():
+    """Open, it is the cascade; closed, it goes straight on, wherever it is."""
+    network, plain = make_network("cascade-gated"), make_network("cascade")
+    plain.mu.load_state_dict(network.mu.state_dict(), strict=False)
+
+    def turn_gate(logit):
+        with torch.no_grad():
+            network.mu.gate.last_bias.fill_(logit)
+
+    turn_gate(1e30)
+    assert lane_change(network, 20.0) == lane_change(plain, 20.0)
+    turn_gate(-1e30)
+    for deviation in (3.75, 1.0):
+        held = lane_change(network, deviation=deviation, yaw=0.03)
+        # It begins at 0.66 m/s; what is left is within the threshold.
+        assert abs(held[20] - deviation) < 0.6
+        assert max(abs(b - a) for a, b in itertools.pairwise(held[20:])) < 0.007
+    turn_gate(0.0)
+    half, whole = (
+        one.policy()(TensorDict({"observation": state(lateral_deviation=value)}))["action"].item()
+        for one, value in ((network, 0.5), (plain, 0.25))
+    )
+    # The gains, too, are functions of the deviation.
+    assert half == pytest.approx(whole, rel=0.1)
+    assert whole > 0.01
+
+
 @pytest.mark.parametrize("poles", [-1e30, 1e30])
 def test_damped_mu_settles_at_the_ends_of_its_gains(poles):
     network = make_network("damped")

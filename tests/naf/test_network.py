@@ -124,7 +124,7 @@ def test_maximum_over_a_box_of_two_actions():
     torch.testing.assert_close(at_greedy["state_action_value"], data["state_value"])
 
 
-@pytest.mark.parametrize("mu", ["cascade", "cascade-smooth", "damped", "mlp"])
+@pytest.mark.parametrize("mu", ["cascade", "cascade-smooth", "cascade-gated", "damped", "mlp"])
 def test_the_known_cost_of_an_action_bends_q_and_leaves_its_maximum(mu):
     """Q = V - m (a - mu)^2 - c (|a| - |mu| - g (a - mu)), g a slope of |a| at mu."""
     plain, knowing = stir(make_network(mu)), make_network(mu, action_costs=[2.0])
@@ -147,7 +147,7 @@ def test_the_known_cost_of_an_action_bends_q_and_leaves_its_maximum(mu):
     at_greedy = call(knowing, observation, greedy[0].detach())
     torch.testing.assert_close(at_greedy["state_action_value"], at_greedy["state_value"])
     is_zero = greedy[0] == 0.0
-    assert is_zero.any() == (mu == "cascade")
+    assert is_zero.any() == (mu in {"cascade", "cascade-gated"})
     assert (slope.abs() <= 1.0).all()
     assert torch.equal(slope[~is_zero], greedy[0][~is_zero].sign())
     assert knowing.config["action_costs"] == [2.0]
@@ -308,7 +308,7 @@ def test_a_missing_column_is_named(name):
     [
         (
             {"mu": "linear"},
-            "unknown mu 'linear', allowed: cascade, cascade-smooth, paper, damped, .*mlp",
+            "unknown mu 'linear', allowed: cascade, cascade-smooth, cascade-gated, paper, .*mlp",
         ),
         (
             {"mu": "paper", "actions": 2},

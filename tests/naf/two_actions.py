@@ -6,7 +6,7 @@ import torch
 from naf.paper_networks import OFFSETS, SCALES
 
 from marl_lanes.naf import NAFNetwork
-from marl_lanes.naf.lateral import CascadeMu, DampedMu, PaperMu, SmoothCascadeMu
+from marl_lanes.naf.lateral import CascadeMu, DampedMu, GatedCascadeMu, PaperMu, SmoothCascadeMu
 from marl_lanes.naf.mu import CarFollowingMu, MLPMu
 
 FEATURES = [
@@ -22,6 +22,7 @@ HALF_RANGE = np.array([0.5, 2.5])
 LATERAL = {
     "cascade": CascadeMu,
     "cascade-smooth": SmoothCascadeMu,
+    "cascade-gated": GatedCascadeMu,
     "paper": PaperMu,
     "damped": DampedMu,
 }

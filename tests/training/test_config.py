@@ -18,7 +18,7 @@ from marl_lanes.training.config import (
     write_config,
 )
 
-RECIPES = ["fast", "interactive", "paper"]
+RECIPES = ["fast", "interactive", "long", "paper"]
 
 
 def fields(kind=TrainingConfig, prefix=""):

@@ -6,6 +6,7 @@ import torch
 from collecting import BUSY
 
 from marl_lanes import load_scenario
+from marl_lanes.traffic.machine.state import Phase
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.demonstrations import (
     DemonstrationsConfig,
@@ -34,11 +35,13 @@ def shown():
 
 
 def test_the_actions_are_those_of_the_expert_without_noise(shown):
-    observations, actions = shown
+    observations, actions, effective = shown
     assert observations.shape == (400, 6)
     assert actions.shape == (400, 1)
     assert (observations[:, SPEED] > 0).all()
     assert actions.numpy() == pytest.approx(expert(observations.numpy()), abs=1e-6)
+    assert effective.shape == (400, 1)
+    assert effective.all()
 
 
 def test_the_same_seed_has_the_same_demonstrations(shown):
@@ -53,12 +56,12 @@ def test_noise_brings_the_states_around_the_paths():
         near = (observations[:, DEVIATION] - 3.75).abs() < 0.05
         return observations[near, YAW_RATE]
 
-    quiet, _ = collect_demonstrations(SCENARIO, expert, settings(sigma=0.0), 5)
+    quiet, *_ = collect_demonstrations(SCENARIO, expert, settings(sigma=0.0), 5)
     assert beginnings(quiet).min() >= 0.0
-    loud, _ = collect_demonstrations(SCENARIO, expert, settings(sigma=1.0), 5)
+    loud, *_ = collect_demonstrations(SCENARIO, expert, settings(sigma=1.0), 5)
     assert (beginnings(loud) < 0.0).sum() > 5
     # Clipped to the bound of the action, 0.5 rad/s^2.
-    wild, _ = collect_demonstrations(SCENARIO, expert, settings(sigma=100.0), 5)
+    wild, *_ = collect_demonstrations(SCENARIO, expert, settings(sigma=100.0), 5)
     assert beginnings(wild).abs().max() > 0.049
     assert wild[:, YAW_RATE].abs().max() < 0.5
 
@@ -77,6 +80,31 @@ def test_mu_is_fitted_to_them_and_nothing_else(shown):
     }
     assert changed
     assert all(name.startswith("mu.") for name in changed)
+
+
+def test_what_has_no_effect_is_not_imitated():
+    """A waiting agent's lane keeping steers; its acceleration is its own."""
+    traffic = {**BUSY, "warmup": [20.0, 20.0]}
+    scenario = load_scenario("interactive", traffic)
+    phase = list(scenario.observation.features).index("phase")
+
+    def steering_by_phase(observations):
+        waits = observations[:, phase] == Phase.WAITING
+        return np.column_stack([np.where(waits, 0.4, -0.1), np.where(waits, -1.0, 1.0)])
+
+    observations, actions, effective = collect_demonstrations(
+        scenario, steering_by_phase, settings(sigma=0.0), 5
+    )
+    waits = observations[:, phase] == Phase.WAITING
+    assert 20 < waits.sum() < 380
+    assert torch.equal(effective, torch.stack([~waits, torch.ones_like(waits)], 1))
+    torch.manual_seed(0)
+    network = make_network(scenario, "mlp", [16])
+    imitate(network, observations, actions, effective, settings())
+    greedy = network.policy().module(observations).detach()
+    assert (greedy[~waits, 0] + 0.1).abs().mean() < 0.02
+    assert (greedy[waits, 0] - 0.4).abs().mean() > 0.2
+    assert (greedy[:, 1] - actions[:, 1]).abs().mean() < 0.2
 
 
 def test_too_many_are_refused_before_anything_drives():

@@ -41,11 +41,11 @@ FORM = [
     ("seed=" + "1" * 5000, "'seed=111"),
 ]
 CHOICES = [
-    ("recipe=wild", "recipe = 'wild': must be fast, interactive, paper"),
-    ("recipe=null", "recipe = None: must be fast, interactive, paper"),
-    ("recipe=[fast]", "recipe = ['fast']: must be fast, interactive, paper"),
-    ("recipe=../config", "recipe = '../config': must be fast, interactive, paper"),
-    ("~recipe", "recipe = None: must be fast, interactive, paper"),
+    ("recipe=wild", "recipe = 'wild': must be fast, interactive, long, paper"),
+    ("recipe=null", "recipe = None: must be fast, interactive, long, paper"),
+    ("recipe=[fast]", "recipe = ['fast']: must be fast, interactive, long, paper"),
+    ("recipe=../config", "recipe = '../config': must be fast, interactive, long, paper"),
+    ("~recipe", "recipe = None: must be fast, interactive, long, paper"),
     ("collector=cloud", "collector = 'cloud': must be multi, ray, single"),
 ]
 NEEDED = [(f"~{name}", f"~{name}: {name} must be given") for name in ("seed", "loss.gamma", "loss")]

@@ -85,8 +85,8 @@ class NetworkConfig(Section):
     """Form of the changers' NAF network."""
 
     mu: str = Field(
-        description="cascade, cascade-smooth, paper, damped or mlp; with two actions one of the "
-        "first four with +idm or +mlp, or mlp"
+        description="cascade, cascade-smooth, cascade-gated, paper, damped or mlp; with two "
+        "actions one of the first five with +idm or +mlp, or mlp"
     )
     encoder: Literal["none", "gru", "grid"] = Field(
         description="what the networks see: none: the observation; gru: the newest of stacked "
