@@ -32,7 +32,7 @@ def told_as(point):
     return f"return {float(point[1]):.2f}, completed {float(point[2]):.2f}"
 
 
-# Raised inside AgileRL when it is imported, and by Tianshou, which takes the actor for a bounded one.
+# AgileRL raises the first when it is imported; Tianshou takes an unbounded actor for a bounded one.
 @pytest.mark.filterwarnings("ignore:MakeEvolvable will be deprecated:DeprecationWarning")
 @pytest.mark.filterwarnings("ignore:action_scaling and action_bound_method are:UserWarning")
 @pytest.mark.training
