@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.scenario.followers import SCRIPTED
+from marl_lanes.scenario.dispositions import SCRIPTED
 from marl_lanes.scenario.schema import Scenario
 from marl_lanes.traffic.machine.state import Records, Table, structure
 from marl_lanes.traffic.roles.changer import CHANGER
