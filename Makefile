@@ -110,6 +110,8 @@ figures: $(VENV)/installed
 		--figure docs/figures/ratings.svg --figure docs/figures/ratings.png
 	$(BIN)/python benchmarks/convergence.py \
 		--figure docs/figures/convergence.svg --figure docs/figures/convergence.png
+	$(BIN)/python docs/programs/curves.py docs/curves/*.csv \
+		--figure docs/figures/neighbours.svg --figure docs/figures/neighbours.png
 
 reproduction: $(VENV)/installed
 # Hours of training, for docs/reproduction.md and these figures:

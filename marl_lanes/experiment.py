@@ -20,7 +20,7 @@ from marl_lanes.files import write_text
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
 from marl_lanes.report.conclusion import conclude
 from marl_lanes.scenario import Scenario, load_scenario
-from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.scenario.dispositions import LEARNED
 from marl_lanes.training.algorithms.algorithm import Algorithm
 from marl_lanes.training.collected import load_collected
 from marl_lanes.training.collectors import MakeCollector

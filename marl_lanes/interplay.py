@@ -19,7 +19,7 @@ from marl_lanes.extras import need
 from marl_lanes.naf.checkpoint import CheckpointError, PolicyNetwork, greedy_policy
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario, load_scenario
-from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.scenario.dispositions import LEARNED
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER

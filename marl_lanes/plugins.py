@@ -7,13 +7,15 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from marl_lanes.scenario import Scenario
 
 imported: list[str] = []
 """What ``import_modules`` has imported in this process; its workers need it, too."""
@@ -57,7 +59,7 @@ def names_function(name: str) -> bool:
     return bool(colon) and _is_dotted(module) and function.isidentifier()
 
 
-def import_policy(name: str, scenario: Scenario) -> Callable[[NDArray[np.float32]], Any]:
+def import_policy(name: str, scenario: "Scenario") -> "Callable[[NDArray[np.float32]], Any]":
     """The policy that a function of the user makes for a scenario.
 
     Args:
@@ -71,6 +73,8 @@ def import_policy(name: str, scenario: Scenario) -> Callable[[NDArray[np.float32
     Raises:
         ValueError: the module or the function cannot be found, or raises an error.
     """
+    import numpy as np
+
     from marl_lanes.traffic.roles.changer import CHANGER
 
     module, _, function = name.partition(":")
@@ -80,7 +84,7 @@ def import_policy(name: str, scenario: Scenario) -> Callable[[NDArray[np.float32
         raise ValueError(f"policy {name}: must return a function, got {shown(policy)}")
     num_actions = len(CHANGER.act(scenario))
 
-    def act(observations: NDArray[np.float32]) -> NDArray[np.float64]:
+    def act(observations: "NDArray[np.float32]") -> "NDArray[np.float64]":
         with _telling(f"policy {name}"):
             actions = np.asarray(policy(observations), np.float64)
         wanted = (len(observations), num_actions)

@@ -267,8 +267,14 @@ def _overrides(draw):
         length = draw(numbers(150.0, 800.0))
         overrides["road"] = draw(_roads(length))
         high = 0.4 * length
+        lanes = st.integers(0, overrides["road"].get("num_lanes", 5) - 1)
         overrides["command"] = draw(
-            section(position=ranges(0.0, high), probability=numbers(0.2, 1.0))
+            section(
+                position=ranges(0.0, high),
+                probability=numbers(0.2, 1.0),
+                lanes=st.lists(lanes, min_size=1, unique=True),
+                time_limit=numbers(1.0, 20.0),
+            )
         )
     if draw(st.booleans()):
         step = overrides["time_step"] = draw(numbers(0.05, 0.5))
@@ -276,8 +282,6 @@ def _overrides(draw):
         least = MIN_KEEPING_SHARE * pole
         bound = round(draw(numbers(1.05, 8.0)) * least, 3) + 0.001
         overrides["lane_keeping"] = {"pole": pole, "max_yaw_acceleration": bound}
-    if overrides.get("road", {}).get("num_lanes") == 2:
-        overrides["command"] = {"probability": 0.0}
     return overrides
 
 

@@ -56,14 +56,21 @@ LEARNED = {
     "command": {"probability": 0.7},
     "num_agents": None,
 }
+HASTY = {
+    "departures": {"interval": [2.0, 5.0]},
+    "command": {"probability": 0.7, "lanes": [0, 1, 2], "time_limit": 7.0},
+    "num_agents": None,
+}
 
 
 SCENARIOS = {
     **{name: (name, {}) for name in list_scenarios()},
     "mixed": ("paper", MIXED),
     "learned": ("paper", LEARNED),
+    "hasty": ("paper", HASTY),
 }
-"""Every shipped scenario, one with mixed drivers, one with learned followers: base, overrides."""
+"""Every shipped scenario, one with mixed drivers, one with learned followers, one with commands in
+all lanes and a time limit: base, overrides."""
 
 
 def choose_actions(simulator, generator):

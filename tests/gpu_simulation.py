@@ -17,7 +17,12 @@ SMALL = {
     "num_slots": 3,
     "max_vehicles": 12,
     "warmup": [6.0, 8.0],
-    "command": {"position": [10.0, 20.0], "probability": 1.0},
+    "command": {
+        "position": [10.0, 20.0],
+        "probability": 1.0,
+        "lanes": [0, 1, 2],
+        "time_limit": 1.0,
+    },
     "followers": {"mix": {"learned": 0.5, "late-yielder": 0.5}},
     "drivers": {"mix": {"normal": 0.5, "truck": 0.5}},
 }
@@ -65,6 +70,7 @@ def main():
     drive(rng, [here, there], 15)
     assert_same(here, there)
     assert here.is_live.any()
+    assert (here.roads["num_commands"] > here.roads["num_live"]).any(), "no time was over"
     assert not there.is_on_gpu  # a policy drives followers on the host
     assert there.initial_seed == 3
     assert_table_is_read(rng, here)

@@ -178,6 +178,18 @@ def test_the_drawing_of_a_life_has_its_phases(tmp_path):
         assert text_of(path).count(f">{phase}</text>") == 2, phase
 
 
+@pytest.mark.slow
+def test_the_drawing_of_curves_has_the_success_beside_the_return(tmp_path):
+    files = [tmp_path / "first.csv", tmp_path / "second.csv"]
+    for file in files:
+        file.write_text("num_steps,return,completed\n0,-16.5,0\n512,-6.25,0.75\n", encoding="utf-8")
+    path = tmp_path / "curves.svg"
+    program = runpy.run_path(str(DOCS / "programs" / "curves.py"))
+    program["main"]([*map(str, files), "--figure", str(path)])
+    for text in ("first", "second", "mean return of a command", "commands completed"):
+        assert text_of(path).count(f">{text}</text>") == 1, text
+
+
 def test_the_pages_are_found_and_linked_from_their_index():
     assert len(PAGES) > 8
     linked = {link.partition("#")[0] for link in LINK.findall(text_of(DOCS / "README.md"))}

@@ -11,13 +11,15 @@ import torch
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 NEEDS = {
+    "agilerl_ippo": ("agilerl", ["--steps", "512"]),
     "benchmarl_tasks": ("benchmarl", ["--iterations", "1", "--algorithms", "ippo"]),
     "plain_torchrl": ("torchrl", ["--iterations", "1"]),
     "rllib_ppo": ("tree", ["--iterations", "1"]),
     "single_file": ("torch", ["--iterations", "1"]),
     "stable_baselines": ("supersuit", ["--timesteps", "4096"]),
+    "tianshou_ppo": ("tianshou", ["--steps", "512"]),
 }
-MEASURED = r"return -\d+\.\d\d, completed \d\.\d\d of \d+ commands"
+MEASURED = r"(return -\d+\.\d\d, completed \d\.\d\d) of 4 commands"
 
 
 def test_every_example_is_here():
@@ -25,16 +27,33 @@ def test_every_example_is_here():
     assert names == set(NEEDS)
 
 
+def told_as(point):
+    """A point of the file as the line of text has it."""
+    return f"return {float(point[1]):.2f}, completed {float(point[2]):.2f}"
+
+
+# AgileRL raises the first when it is imported; Tianshou takes an unbounded actor for a bounded one.
+@pytest.mark.filterwarnings("ignore:MakeEvolvable will be deprecated:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:action_scaling and action_bound_method are:UserWarning")
 @pytest.mark.training
 @pytest.mark.parametrize("name", NEEDS)
-def test_an_example_trains_and_measures(name, monkeypatch, capsys):
+def test_an_example_trains_and_measures(name, tmp_path, monkeypatch, capsys):
     package, options = NEEDS[name]
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed")
-    monkeypatch.setattr(sys, "argv", [f"{name}.py", "--episodes", "1", *options])
+    curve = tmp_path / "curve.csv"
+    common = ["--episodes", "1", "--curve", str(curve)]
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *common, *options])
     monkeypatch.syspath_prepend(str(EXAMPLES))
     torch.set_num_threads(1)
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     told = capsys.readouterr().out
-    assert re.search(f"before: {MEASURED}", told)
-    assert re.search(f"after: {MEASURED}", told)
+    measured = re.findall(rf"(before|after|[\d,]+ steps): {MEASURED}", told)
+    assert [when for when, _ in measured][:: len(measured) - 1] == ["before", "after"]
+    head, *rows = curve.read_text(encoding="utf-8").splitlines()
+    assert head == "num_steps,return,completed"
+    points = [row.split(",") for row in rows]
+    assert [numbers for _, numbers in measured] == [told_as(point) for point in points]
+    steps = [int(point[0]) for point in points]
+    assert steps[0] == 0 < steps[-1]
+    assert steps == sorted(steps)

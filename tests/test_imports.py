@@ -9,10 +9,11 @@ import pytest
 import marl_lanes
 
 HEAVY = ["numba", "pettingzoo", "tensordict", "torch", "torchrl"]
+OF_SCENARIOS = ["numpy", "pydantic", "yaml"]
 
 
-def loaded(statement):
-    """The heavy packages that a fresh interpreter has imported after the statement."""
+def loaded(statement, packages=HEAVY):
+    """Those of the packages that a fresh interpreter has imported after the statement."""
     report = f"import json, sys\n{statement}\nprint(json.dumps(sorted(sys.modules)))"
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", report], capture_output=True, text=True, check=False
@@ -20,7 +21,7 @@ def loaded(statement):
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     modules = set(json.loads(done.stdout))
-    return [name for name in HEAVY if name in modules]
+    return [name for name in packages if name in modules]
 
 
 def test_importing_the_package_is_light():
@@ -29,6 +30,12 @@ def test_importing_the_package_is_light():
 
 def test_scenarios_need_no_simulation():
     assert loaded("from marl_lanes import load_scenario; load_scenario('paper')") == []
+
+
+def test_the_help_of_the_command_line_needs_neither_scenarios_nor_numpy():
+    statement = "from marl_lanes.cli.main import make_parser; make_parser().format_help()"
+    assert loaded(statement, [*HEAVY, *OF_SCENARIOS]) == []
+    assert loaded("from marl_lanes import load_scenario", OF_SCENARIOS) == OF_SCENARIOS
 
 
 @pytest.mark.parametrize("name", ["parallel_env", "env"])

@@ -24,7 +24,7 @@ from marl_lanes.interplay import (
     follower_phase,
 )
 from marl_lanes.naf.checkpoint import PolicyNetwork, greedy_policy
-from marl_lanes.scenario.followers import LEARNED, SCRIPTED
+from marl_lanes.scenario.dispositions import LEARNED, SCRIPTED
 from marl_lanes.terminal import lenient_streams
 from marl_lanes.training.command_line import read_command_line, refusing
 from marl_lanes.training.config import read_config

@@ -33,7 +33,7 @@ from marl_lanes.memory import check_memory
 from marl_lanes.naf.encoder import make_encoder
 from marl_lanes.naf.network import Normaliser
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
-from marl_lanes.scenario.followers import SCRIPTED
+from marl_lanes.scenario.dispositions import SCRIPTED
 from marl_lanes.scenario.messages import shown
 from marl_lanes.terminal import lenient_streams
 from marl_lanes.traffic.machine.state import NONE, Disposition, Phase

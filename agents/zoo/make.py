@@ -22,7 +22,7 @@ from marl_lanes.evaluation.benchmark import Row, measure_row
 from marl_lanes.evaluation.tasks import NUM_MANEUVERS, SEED
 from marl_lanes.files import copy_file, write_json
 from marl_lanes.naf.checkpoint import greedy_policy, read_content
-from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.scenario.dispositions import LEARNED
 from marl_lanes.scenario.messages import shown
 from marl_lanes.studies import Run, carry_out
 from marl_lanes.terminal import lenient_streams

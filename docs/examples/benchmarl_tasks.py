@@ -5,9 +5,9 @@ import tempfile
 
 import torch
 from benchmarl.algorithms import IddpgConfig, IppoConfig, MappoConfig, MasacConfig
-from benchmarl.experiment import Experiment, ExperimentConfig
+from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
-from measuring import SCENARIO, TRAFFIC, measure
+from measuring import SCENARIO, TRAFFIC, Curve, add_options
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -22,10 +22,10 @@ ALGORITHMS = {
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=list(ALGORITHMS))
 parser.add_argument("--iterations", type=int, default=20, help="of 2048 steps of a road")
-parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
+add_options(parser)
 arguments = parser.parse_args()
 
-NUM_SLOTS = 4
+NUM_SLOTS, NUM_STEPS = 4, 2048
 
 
 def configure(folder):
@@ -33,8 +33,8 @@ def configure(folder):
     config = ExperimentConfig.get_from_yaml()
     config.max_n_iters = arguments.iterations
     config.gamma, config.lr = 0.97, 1e-3
-    config.on_policy_collected_frames_per_batch = 2048
-    config.off_policy_collected_frames_per_batch = 2048
+    config.on_policy_collected_frames_per_batch = NUM_STEPS
+    config.off_policy_collected_frames_per_batch = NUM_STEPS
     config.on_policy_n_envs_per_worker = config.off_policy_n_envs_per_worker = 16
     config.on_policy_n_minibatch_iters, config.on_policy_minibatch_size = 8, 512
     config.off_policy_n_optimizer_steps, config.off_policy_train_batch_size = 64, 128
@@ -42,6 +42,14 @@ def configure(folder):
     config.evaluation = config.render = config.create_json = False
     config.loggers, config.save_folder = [], folder
     return config
+
+
+class Measuring(Callback):
+    """Measures on the way."""
+
+    def on_train_end(self, *_):
+        done = self.experiment.n_iters_performed + 1
+        curve.reach(done * NUM_STEPS, done / arguments.iterations)
 
 
 def policy_of(experiment):
@@ -75,8 +83,9 @@ for name in arguments.algorithms:
             ),
             seed=0,
             config=configure(folder),
+            callbacks=[Measuring()],
         )
         act = policy_of(experiment)
-        print(f"{name}, before:", measure(act, arguments.episodes))
+        curve = Curve(act, arguments, f"{name}, ")
         experiment.run()
-        print(f"{name}, after:", measure(act, arguments.episodes))
+        curve.end(arguments.iterations * NUM_STEPS)

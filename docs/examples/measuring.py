@@ -4,9 +4,12 @@ Of a command: the mean sum of its rewards, and the share of commands that were c
 that never steers pays little and completes nothing, so neither is told alone.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from marl_lanes import parallel_env
+from marl_lanes.files import write_text
 
 SCENARIO = "paper"
 TRAFFIC = {
@@ -18,17 +21,70 @@ TRAFFIC = {
 """Every vehicle is commanded, and soon: of a constant population a third is live, not a tenth."""
 
 COMPLETED = 1.0
+NUM_POINTS = 8
+"""Of a curve, after the first."""
 
 
-def measure(act, num_episodes=10):
-    """The returns and the successes of a policy on roads that no training has seen.
+def add_options(parser):
+    """Add --episodes and --curve."""
+    parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
+    parser.add_argument(
+        "--curve",
+        type=Path,
+        metavar="FILE.csv",
+        help="measure on the way, too, and write the points to this file",
+    )
+
+
+class Curve:
+    """Measurements of a policy before, during and after its training.
 
     Args:
         act: normalised observations (N, F) to normalised actions (N, D).
+        options: those of ``add_options``.
+        name: begins the lines of text.
+    """
+
+    def __init__(self, act, options, name=""):
+        self._act, self._options, self._name = act, options, name
+        self._num_points = 0
+        self._rows = ["num_steps,return,completed"]
+        self._measure(0, "before")
+
+    def reach(self, num_steps, share):
+        """Measure where the training has come to the next point, if a curve is wanted.
+
+        Args:
+            num_steps: of a road, until now.
+            share: of the training that is done.
+        """
+        num_points = int(share * NUM_POINTS)
+        if self._options.curve and self._num_points < num_points < NUM_POINTS:
+            self._measure(num_steps, f"{num_steps:,} steps")
+        self._num_points = num_points
+
+    def end(self, num_steps):
+        """Measure after the training, and write the curve if one is wanted."""
+        self._measure(num_steps, "after")
+        if self._options.curve:
+            write_text(self._options.curve, "\n".join(self._rows) + "\n")
+
+    def _measure(self, num_steps, when):
+        mean, share, num_commands = measure(self._act, self._options.episodes)
+        told = f"return {mean:.2f}, completed {share:.2f} of {num_commands} commands"
+        print(f"{self._name}{when}: {told}", flush=True)
+        self._rows.append(f"{num_steps},{mean:.6f},{share:.6f}")
+
+
+def measure(act, num_episodes):
+    """The mean return of a command on roads that no training has seen, and the completed share.
+
+    Args:
+        act: as above.
         num_episodes: of four commands.
 
     Returns:
-        A line of text.
+        Both, and the number of commands.
     """
     env = parallel_env(SCENARIO, normalised=True, overrides=TRAFFIC, seed=10_000)
     returns, successes = [], []
@@ -43,5 +99,4 @@ def measure(act, num_episodes=10):
                 paid[agent] = paid.get(agent, 0.0) + reward
             successes += [i["outcome"] == COMPLETED for i in infos.values() if i["outcome"]]
         returns += paid.values()
-    share = np.mean(successes)
-    return f"return {np.mean(returns):.2f}, completed {share:.2f} of {len(successes)} commands"
+    return np.mean(returns), np.mean(successes), len(successes)

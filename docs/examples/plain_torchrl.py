@@ -7,7 +7,7 @@ the loss leaves out the rows in which no action has an effect.
 import argparse
 
 import torch
-from measuring import SCENARIO, TRAFFIC, measure
+from measuring import SCENARIO, TRAFFIC, Curve, add_options
 from tensordict.nn import NormalParamExtractor, TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
@@ -20,7 +20,7 @@ from marl_lanes.envs.transforms import normalise
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--iterations", type=int, default=25, help="of 128 steps on 16 roads")
-parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
+add_options(parser)
 arguments = parser.parse_args()
 torch.manual_seed(0)
 
@@ -69,17 +69,18 @@ def act(rows):
         return body(torch.as_tensor(rows))[0].clamp(-1.0, 1.0).numpy()
 
 
-print("before:", measure(act, arguments.episodes))
 num_frames = 16 * 128
+num_steps = arguments.iterations * num_frames
+curve = Curve(act, arguments)
 collector = Collector(
     env,
     policy,
     frames_per_batch=num_frames,
-    total_frames=arguments.iterations * num_frames,
+    total_frames=num_steps,
     track_traj_ids=False,
     auto_register_policy_transforms=False,
 )
-for batch in collector:
+for k, batch in enumerate(collector, 1):
     with torch.no_grad():
         advantages(batch)
         # Over the rows that count: the others have values of nobody.
@@ -97,4 +98,5 @@ for batch in collector:
             nn.utils.clip_grad_norm_(loss.parameters(), 1.0)
             optimizer.step()
     collector.update_policy_weights_()
-print("after:", measure(act, arguments.episodes))
+    curve.reach(k * num_frames, k / arguments.iterations)
+curve.end(num_steps)

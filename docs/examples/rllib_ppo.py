@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 import torch
-from measuring import SCENARIO, TRAFFIC, measure
+from measuring import SCENARIO, TRAFFIC, Curve, add_options
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 
@@ -12,8 +12,10 @@ from marl_lanes.integrations.rllib import LaneChangeMultiAgentEnv
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--iterations", type=int, default=8, help="of 2048 steps")
-parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
+add_options(parser)
 arguments = parser.parse_args()
+
+NUM_STEPS = 2048
 
 config = (
     PPOConfig()
@@ -25,7 +27,12 @@ config = (
         )
     )
     .training(
-        gamma=0.97, lr=1e-3, train_batch_size=2048, minibatch_size=256, num_epochs=8, kl_coeff=0.0
+        gamma=0.97,
+        lr=1e-3,
+        train_batch_size=NUM_STEPS,
+        minibatch_size=256,
+        num_epochs=8,
+        kl_coeff=0.0,
     )
     .env_runners(num_env_runners=0)
     .debugging(seed=0, log_level="ERROR")
@@ -47,8 +54,9 @@ def act(rows):
     return np.clip(found["action_dist_inputs"][:, :1].numpy(), -1.0, 1.0)
 
 
-print("before:", measure(act, arguments.episodes))
-for _ in range(arguments.iterations):
+curve = Curve(act, arguments)
+for k in range(1, arguments.iterations + 1):
     algorithm.train()
-print("after:", measure(act, arguments.episodes))
+    curve.reach(k * NUM_STEPS, k / arguments.iterations)
+curve.end(arguments.iterations * NUM_STEPS)
 algorithm.stop()

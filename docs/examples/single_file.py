@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 import torch
-from measuring import SCENARIO, TRAFFIC, measure
+from measuring import SCENARIO, TRAFFIC, Curve, add_options
 from torch import nn
 from torch.distributions import Normal
 
@@ -12,7 +12,7 @@ from marl_lanes import parallel_env
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--iterations", type=int, default=20, help="of 1024 steps of agents")
-parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
+add_options(parser)
 arguments = parser.parse_args()
 torch.manual_seed(0)
 
@@ -44,7 +44,7 @@ def act(rows):
 @torch.no_grad()
 def collect(num_rows):
     """Whole episodes; each agent's life is a list of its own: rows and the value after its end."""
-    lives = []
+    lives, num_steps = [], 0
     while sum(len(rows) for rows, _ in lives) < num_rows:
         observations, _ = env.reset()
         open_lives = {}
@@ -54,6 +54,7 @@ def collect(num_rows):
             actions = chosen.sample()
             log_probs, values = chosen.log_prob(actions).sum(-1), critic(seen)[:, 0]
             acting = list(env.agents)
+            num_steps += 1
             observations, rewards, terminations, truncations, _ = env.step(
                 dict(zip(acting, actions.numpy(), strict=True))
             )
@@ -63,7 +64,7 @@ def collect(num_rows):
                 if terminations[agent] or truncations[agent]:
                     last = critic(torch.as_tensor(observations[agent])).item()
                     lives.append((open_lives.pop(agent), 0.0 if terminations[agent] else last))
-    return lives
+    return lives, num_steps
 
 
 def advantages_of(values, rewards, last):
@@ -75,10 +76,11 @@ def advantages_of(values, rewards, last):
     return found
 
 
-print("before:", measure(act, arguments.episodes))
-for _ in range(arguments.iterations):
+curve, num_taken = Curve(act, arguments), 0
+for k in range(1, arguments.iterations + 1):
     columns = [[], [], [], [], []]
-    for rows, last in collect(1024):
+    lives, num_steps = collect(1024)
+    for rows, last in lives:
         seen, actions, log_probs, values, rewards = zip(*rows, strict=True)
         advantages = advantages_of(values, rewards, last)
         targets = advantages + torch.stack(values)
@@ -97,4 +99,6 @@ for _ in range(arguments.iterations):
             optimizer.zero_grad()
             (0.5 * error - gain).backward()
             optimizer.step()
-print("after:", measure(act, arguments.episodes))
+    num_taken += num_steps
+    curve.reach(num_taken, k / arguments.iterations)
+curve.end(num_taken)

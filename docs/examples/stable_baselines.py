@@ -4,7 +4,7 @@ import argparse
 
 import numpy as np
 import supersuit
-from measuring import SCENARIO, TRAFFIC, measure
+from measuring import SCENARIO, TRAFFIC, Curve, add_options
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 
@@ -12,8 +12,10 @@ from marl_lanes import parallel_env
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--timesteps", type=int, default=60_000, help="rows, absent ones included")
-parser.add_argument("--episodes", type=int, default=10, help="of each measurement")
+add_options(parser)
 arguments = parser.parse_args()
+
+NUM_AGENTS = TRAFFIC["num_agents"]
 
 road = parallel_env(SCENARIO, population="constant", normalised=True, overrides=TRAFFIC)
 agents = supersuit.pettingzoo_env_to_vec_env_v1(road)
@@ -39,6 +41,13 @@ def act(rows):
     return model.predict(np.hstack([rows, flags]), deterministic=True)[0]
 
 
-print("before:", measure(act, arguments.episodes))
-model.learn(arguments.timesteps)
-print("after:", measure(act, arguments.episodes))
+def note(here, _):
+    """Measure on the way; True goes on."""
+    done = here["self"].num_timesteps
+    curve.reach(done // NUM_AGENTS, done / arguments.timesteps)
+    return True
+
+
+curve = Curve(act, arguments)
+model.learn(arguments.timesteps, callback=note)
+curve.end(model.num_timesteps // NUM_AGENTS)

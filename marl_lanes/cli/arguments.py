@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 from marl_lanes.cli.completers import followers, offer, policies, scenarios
 from marl_lanes.cli.policies import TRAINED, UNTRAINED
 from marl_lanes.cli.values import MAX_SEED, file_name, whole_number
-from marl_lanes.scenario.followers import SCRIPTED
+from marl_lanes.scenario.dispositions import SCRIPTED
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """What a module of commands adds its parsers to."""

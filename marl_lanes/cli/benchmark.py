@@ -3,7 +3,7 @@
 import argparse
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from marl_lanes.cli.arguments import Commands, add_command, add_json
 from marl_lanes.cli.completers import offer, policies
@@ -13,8 +13,10 @@ from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.values import MAX_SEED, file_name, whole_number
 from marl_lanes.evaluation.tasks import NUM_MANEUVERS, SEED, TASKS
 from marl_lanes.plugins import add_import, import_modules
-from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.terminal import say
+
+if TYPE_CHECKING:
+    from marl_lanes.scenario import Scenario
 
 
 def add(commands: Commands) -> None:
@@ -130,13 +132,16 @@ def _benchmark(options: argparse.Namespace) -> None:
 
 def _find_tasks(
     name: str, tasks: list[str] | None, seed: int
-) -> tuple[dict[str, tuple[Scenario, Any]], dict[str, str]]:
+) -> "tuple[dict[str, tuple[Scenario, Any]], dict[str, str]]":
     """The tasks that a policy fits, each with its scenario and the policy; and why not the others.
 
     Raises:
         ValueError: it fits none, or not one that was asked for.
     """
-    fitting, refused = dict[str, tuple[Scenario, Any]](), dict[str, str]()
+    from marl_lanes.scenario import load_scenario
+
+    fitting: dict[str, tuple[Scenario, Any]] = {}
+    refused: dict[str, str] = {}
     for task in tasks or TASKS:
         scenario = load_scenario(task)
         try:

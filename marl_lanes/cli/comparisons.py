@@ -18,8 +18,7 @@ from marl_lanes.cli.policies import TRAINED, UNTRAINED, make_policy
 from marl_lanes.cli.progress import Progress
 from marl_lanes.cli.values import file_name, whole_number
 from marl_lanes.plugins import add_import, import_modules
-from marl_lanes.scenario import load_scenario
-from marl_lanes.scenario.followers import SCRIPTED
+from marl_lanes.scenario.dispositions import SCRIPTED
 
 
 def add(commands: Commands) -> None:
@@ -124,6 +123,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.metrics import evaluate
     from marl_lanes.evaluation.recording import record_maneuvers
     from marl_lanes.evaluation.tables import format_summary
+    from marl_lanes.scenario import load_scenario
 
     name = options.policy or options.checkpoint
     outputs = [("--json", options.json), ("--trajectories", options.trajectories)]
@@ -151,6 +151,7 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _crossplay(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.crossplay import crossplay
     from marl_lanes.evaluation.tables import format_crossplay
+    from marl_lanes.scenario import load_scenario
 
     sources = label_changers(options.changers)
     followers = label_followers(options.followers)
@@ -176,6 +177,7 @@ def _crossplay(options: argparse.Namespace) -> None:
 def _compare_followers(options: argparse.Namespace) -> None:
     from marl_lanes.evaluation.gaps import compare_followers
     from marl_lanes.evaluation.tables import format_gaps
+    from marl_lanes.scenario import load_scenario
 
     name = options.policy or options.checkpoint or "tuned-cascade"
     followers = label_followers(options.followers)

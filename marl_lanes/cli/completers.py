@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 from marl_lanes.cli.policies import UNTRAINED
-from marl_lanes.scenario import list_scenarios
-from marl_lanes.scenario.followers import LEARNED, SCRIPTED
+from marl_lanes.scenario.dispositions import LEARNED, SCRIPTED
 from marl_lanes.zoo.index import PREFIX, read_index
 
 Completer = Callable[[str], Iterable[str]]
@@ -29,6 +28,8 @@ def offer(argument: argparse.Action, completer: Completer) -> None:
 
 def scenarios(prefix: str) -> Iterator[str]:
     """Shipped names, and files."""
+    from marl_lanes.scenario import list_scenarios
+
     yield from list_scenarios()
     yield from files(prefix)
 

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from marl_lanes.plugins import import_policy, names_function
-from marl_lanes.scenario import Scenario
 from marl_lanes.zoo.index import PREFIX, find_entry
 
 if TYPE_CHECKING:
     from marl_lanes.evaluation.benchmark import Training
+    from marl_lanes.scenario import Scenario
 
 UNTRAINED = (
     "tuned-cascade",
@@ -33,7 +33,7 @@ def is_policy(name: str) -> bool:
     return is_named or Path(name).exists()
 
 
-def make_policy(name: str, scenario: Scenario, seed: int) -> Any:
+def make_policy(name: str, scenario: "Scenario", seed: int) -> Any:
     """The policy of this name; it must fit the scenario.
 
     Args:

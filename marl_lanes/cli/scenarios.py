@@ -8,8 +8,6 @@ from marl_lanes.cli.arguments import Commands, add_command, add_json
 from marl_lanes.cli.completers import offer
 from marl_lanes.cli.outputs import check_outputs, show_result
 from marl_lanes.plugins import add_import, import_modules
-from marl_lanes.scenario import list_scenarios, load_scenario
-from marl_lanes.scenario.yaml_files import format_yaml
 from marl_lanes.terminal import say
 
 _KIND = "a shipped name or the path of a YAML file"
@@ -86,6 +84,8 @@ def _add_validate(commands: Commands) -> None:
 
 
 def _list_scenarios(options: argparse.Namespace) -> None:
+    from marl_lanes.scenario import list_scenarios, load_scenario
+
     check_outputs([("--json", options.json)], [])
     purposes = {name: load_scenario(name).description for name in list_scenarios()}
     result = [{"name": name, "description": purpose} for name, purpose in purposes.items()]
@@ -94,6 +94,9 @@ def _list_scenarios(options: argparse.Namespace) -> None:
 
 
 def _show_scenario(options: argparse.Namespace) -> None:
+    from marl_lanes.scenario import load_scenario
+    from marl_lanes.scenario.yaml_files import format_yaml
+
     check_outputs([("--json", options.json)], [options.scenario])
     fields = load_scenario(options.scenario).model_dump(mode="json")
     show_result(options.json, fields, format_yaml(fields).rstrip("\n"))
@@ -117,6 +120,8 @@ def _validate(options: argparse.Namespace) -> int:
 
 def _find_problem(source: str) -> str | None:
     """Why there can be no such scenario, in one line; None if there can be."""
+    from marl_lanes.scenario import load_scenario
+
     try:
         scenario = load_scenario(source)
         if scenario.followers.external_names:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from marl_lanes.cli.names import label_changers, label_followers, saved_followers
 from marl_lanes.cli.policies import make_policy
 from marl_lanes.cli.progress import Progress
-from marl_lanes.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
     from marl_lanes.evaluation.driving import Policy
+    from marl_lanes.scenario import Scenario
     from marl_lanes.trajectory.file import Trajectory
     from marl_lanes.trajectory.frames import Rows
 
@@ -43,7 +43,7 @@ class Track:
 class _Drive:
     """A road to simulate."""
 
-    scenario: Scenario
+    scenario: "Scenario"
     policy: "Policy"
     name: str
 
@@ -111,6 +111,7 @@ def _find_sources(
     policies: Sequence[str], followers: Sequence[str] | None, scenario: str | None, seed: int | None
 ) -> "dict[str, _Drive | Trajectory]":
     from marl_lanes.envs.followers import find_policies
+    from marl_lanes.scenario import load_scenario
     from marl_lanes.traffic.roles.external import choose_policies
     from marl_lanes.trajectory.file import read_trajectory
 

@@ -13,7 +13,6 @@ from marl_lanes.cli.policies import TRAINED, UNTRAINED, is_policy, make_policy
 from marl_lanes.cli.values import number, whole_number
 from marl_lanes.extras import need
 from marl_lanes.plugins import add_import, import_modules
-from marl_lanes.scenario import load_scenario
 from marl_lanes.terminal import say, warn
 
 if TYPE_CHECKING:
@@ -89,6 +88,7 @@ def _watch(options: argparse.Namespace) -> None:
 def _make_show(options: argparse.Namespace) -> "Show":
     from marl_lanes.browser.episodes import Show
     from marl_lanes.browser.models import FixedModel, Model, Models, RunModels
+    from marl_lanes.scenario import load_scenario
 
     source, seed = options.source, options.seed
     given = None if options.scenario is None else load_scenario(options.scenario)

@@ -12,7 +12,6 @@ from marl_lanes.evaluation.tables import (
     format_estimate,
     format_table,
 )
-from marl_lanes.scenario.yaml_files import format_yaml
 from marl_lanes.zoo.index import PREFIX, ZooError, find_entry, read_index
 
 
@@ -48,6 +47,8 @@ def _show(options: argparse.Namespace) -> None:
         entry = find_entry(options.name)
     except ZooError as error:
         raise ValueError(f"zoo {options.name}: {error}") from None
+    from marl_lanes.scenario.yaml_files import format_yaml
+
     show_result(options.json, entry, format_yaml(dict(entry)).rstrip("\n"))
 
 

@@ -57,7 +57,7 @@ class LaneChangeEnv(Closes, EnvBase):
     - ``reward`` (E, A, 1) float32; ``command_reward`` (E, A, 1): its sum since the command.
     - ``outcome`` (E, A) int64: an ``Outcome``; set in the step that ends a command.
     - ``done``, ``terminated``, ``truncated`` (E, A, 1) bool: True only in the step in which the
-      agent ends. Completed, collision and off_road terminate; missed and horizon truncate.
+      agent ends. Completed, collision and off_road terminate, all other outcomes truncate.
 
     With ``learned_followers`` there is the group ``followers``: slot k is the driver behind the
     changer of slot k in its target lane. It is live (``mask``) as long as the changer, and

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.envs.fit import check_fit
 from marl_lanes.scenario import Scenario
-from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.scenario.dispositions import LEARNED
 from marl_lanes.traffic.arguments import check_functions
 from marl_lanes.traffic.roles.external import FollowerPolicy
 from marl_lanes.traffic.roles.follower import FOLLOWER

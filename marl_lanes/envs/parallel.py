@@ -53,8 +53,8 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
     (positive toward the target lane). Action: yaw acceleration, (1,) float32 [rad/s^2], used while
     the agent is engaged or aborting, clipped to the bound; with ``action.longitudinal`` (2,), the
     second the longitudinal acceleration [m/s^2], used while the agent is live. Completed, collision
-    and off_road terminate; missed (the road ends) and horizon truncate. Infos: phase, outcome
-    (codes of ``Outcome``), num_aborts and the reward terms, as floats.
+    and off_road terminate; missed (the road ends), timed_out and horizon truncate. Infos: phase,
+    outcome (codes of ``Outcome``), num_aborts and the reward terms, as floats.
 
     With ``learned_followers``, ``follower_k`` is the driver behind changer_k in its target lane,
     live as long as changer_k. Its action, the longitudinal acceleration (1,) [m/s^2], is used while

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario
 
-FOLLOWER_ACCELERATION = 1.75
+FOLLOWER_ACCELERATION = 2.0
 """[m/s^2] Of a follower that closes the gap; less than the shipped adversary's largest, 3 m/s^2,
 because its own leader and its speed hold it back."""
 

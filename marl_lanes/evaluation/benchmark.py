@@ -169,7 +169,12 @@ def measure_row(
 
     Raises:
         ScenarioError, CheckpointError, ValueError: as for ``run_maneuvers``.
+        ValueError: the scenario has a time limit; ENDINGS has no share of commands that timed out.
     """
+    if scenario.command.time_limit is not None:
+        raise ValueError(
+            f"command.time_limit = {scenario.command.time_limit}: must be null in a benchmark"
+        )
     show = progress or (lambda _: None)
     seen: list[NDArray[np.float32]] = []
 

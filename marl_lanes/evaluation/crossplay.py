@@ -22,6 +22,7 @@ RATES = (
     "abort_rate",
     "missed_rate",
     "abort_or_miss_rate",
+    "timed_out_rate",
     "collision_rate",
     "off_road_rate",
     "s_critical_violation_rate",

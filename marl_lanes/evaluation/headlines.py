@@ -95,6 +95,13 @@ HEADLINES = (
         "Share of all commands whose vehicle left the road, or stood across it, before completion.",
     ),
     Headline(
+        "timed_out_rate",
+        "Timed out",
+        "%",
+        1,
+        "Share of all commands whose time limit was over before they were completed.",
+    ),
+    Headline(
         "horizon_rate",
         "Cut off",
         "%",

@@ -94,6 +94,8 @@ def explain_failure(maneuver: Maneuver, time_step: float) -> str:
         return f"collided while {activity}{kind}"
     if outcome == Outcome.OFF_ROAD:
         return f"left the road, or stood across it, while {activity}"
+    if outcome == Outcome.TIMED_OUT:
+        return f"ran out of time while {activity}"
     return f"cut off by the end of the episode while {activity}"
 
 

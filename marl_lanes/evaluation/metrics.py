@@ -116,6 +116,7 @@ AVERAGES: dict[str, Callable[[ManeuverMetrics], float]] = {
     "missed_rate": _ended_by(Outcome.MISSED),
     "abort_or_miss_rate": lambda row: float(row.num_aborts > 0 or row.outcome == Outcome.MISSED),
     "off_road_rate": _ended_by(Outcome.OFF_ROAD),
+    "timed_out_rate": _ended_by(Outcome.TIMED_OUT),
     "horizon_rate": _ended_by(Outcome.HORIZON),
     "mean_return": _if_completed("return_"),
     **{f"mean_return_{name}": _return_if_completed(name) for name in STEERING_COSTS},

@@ -27,7 +27,7 @@ class Tally(NamedTuple):
     changer: int
     """Successes: the change was completed in time, and was safe in the time after it."""
     follower: int
-    """Missed: the changer reached the end of the road in its lane."""
+    """Missed or timed out: the changer reached the end of the road, or of its time, too early."""
     nobody: int
     """The rest: collisions, vehicles off the road or out of their lane, before completion or after
     it, and changes that the horizon ended."""
@@ -80,7 +80,7 @@ def tally(maneuvers: Iterable[Maneuver], scenario: Scenario, num_roads: int) -> 
         winner = 2
         if measure(maneuver, scenario, with_optimum=False).is_success:
             winner = 0
-        elif maneuver.outcome == Outcome.MISSED:
+        elif maneuver.outcome in (Outcome.MISSED, Outcome.TIMED_OUT):
             winner = 1
         counts[maneuver.env][winner] += 1
     return [Tally(*road) for road in counts]

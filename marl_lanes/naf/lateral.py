@@ -296,16 +296,19 @@ class GatedCascadeMu(CascadeMu):
     """
 
     initial_share = 0.98
+    sharpness = 5.0
+    """Of the gate, because a change with half of the deviation is dearer than a change or none."""
 
     def __init__(
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
         super().__init__(name, features, box, hidden_sizes)
-        self.gate = Heads(len(features), hidden_sizes, [[_logit(self.initial_share)]])
+        logit = _logit(self.initial_share) / self.sharpness
+        self.gate = Heads(len(features), hidden_sizes, [[logit]])
 
     def wanted(self, deviation: Tensor, normalised: Tensor) -> Tensor:
         """The share of the deviation that it steers for, (..., 1) [m]."""
-        return deviation * torch.sigmoid(self.gate(normalised))
+        return deviation * torch.sigmoid(self.sharpness * self.gate(normalised))
 
 
 def _logit(share: float) -> float:

@@ -56,6 +56,7 @@ OUTCOMES = {
     Outcome.COLLISION: WARNING,
     Outcome.OFF_ROAD: WARNING,
     Outcome.MISSED: REFUSED_GAP,
+    Outcome.TIMED_OUT: REFUSED_GAP,
     Outcome.HORIZON: MUTED,
 }
 

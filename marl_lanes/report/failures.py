@@ -22,6 +22,7 @@ _KINDS = {
     "collision": "collided",
     "off_road": "left the road",
     "missed": "missed",
+    "timed_out": "ran out of time",
     "horizon": "cut off",
 }
 

@@ -111,10 +111,12 @@ def _collect(run: RunFiles, markupsafe: Any) -> dict[str, Any]:
 
 
 def make_numbers(evaluation: Evaluation) -> list[Number]:
-    """The headline numbers as text."""
+    """The headline numbers that the run has, as text."""
     numbers = []
     for headline in HEADLINES:
-        found = evaluation.intervals[headline.key]
+        found = evaluation.intervals.get(headline.key)
+        if found is None:
+            continue
         unit = "" if headline.unit == "1" else f"\N{NO-BREAK SPACE}{headline.unit}"
         meaning, interval = headline.meaning, ""
         decimals = choose_decimals(headline.decimals, headline.factor, evaluation.num_maneuvers)

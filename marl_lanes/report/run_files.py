@@ -134,9 +134,10 @@ def read_run(path: Path) -> RunFiles:
     except ConfigError as error:
         raise ReportError(str(error)) from None
     evaluation = _validate(Evaluation, _read_json(path / EVALUATION_FILE), path / EVALUATION_FILE)
-    missing = [one.key for one in HEADLINES if one.key not in evaluation.intervals]
-    if missing:
-        raise ReportError(f"{path / EVALUATION_FILE}: intervals.{missing[0]}: must be given")
+    # A run of another version may lack a number that this one knows, but not the main one.
+    main = HEADLINES[0].key
+    if main not in evaluation.intervals:
+        raise ReportError(f"{path / EVALUATION_FILE}: intervals.{main}: must be given")
     choice = path / CHOICE_FILE
     found = (_REPLAY.fullmatch(file.name) for file in (path / REPLAYS_FOLDER).glob("*.html"))
     return RunFiles(

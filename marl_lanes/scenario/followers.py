@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from marl_lanes.scenario.dispositions import SCRIPTED
 from marl_lanes.scenario.fields import (
     Line,
     NonNegative,
@@ -14,12 +15,6 @@ from marl_lanes.scenario.fields import (
     Weight,
     has_weight,
 )
-
-SCRIPTED = ("cooperative", "neutral", "adversarial")
-"""The dispositions with a formula in the simulation, in the order of their codes."""
-
-LEARNED = "learned"
-"""The disposition that a checkpoint or a learner drives."""
 
 DispositionName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]*$", max_length=64)]
 

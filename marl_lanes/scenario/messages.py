@@ -5,9 +5,10 @@ from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from reprlib import Repr
 from types import UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
 
 MAX_SHOWN = 80
 """[characters] of a value in a message."""
@@ -32,7 +33,7 @@ _SHORT = Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = MAX_SHOWN
 
 
-def explain(error: ValidationError, kind: type[BaseModel]) -> str:
+def explain(error: "ValidationError", kind: "type[BaseModel]") -> str:
     """The problems in one line, each with field, value and what is allowed; the first of many.
 
     Args:
@@ -71,7 +72,7 @@ def unknown_key(location: str, allowed: Iterable[str]) -> str:
     return f"{location}: unknown key; {nearest}allowed: {', '.join(names)}"
 
 
-def fields_at(kind: type[BaseModel], path: Sequence[str | int]) -> list[str] | None:
+def fields_at(kind: "type[BaseModel]", path: Sequence[str | int]) -> list[str] | None:
     """The keys of the section at the path; None if there is no section."""
     found: Any = kind
     for part in path:
@@ -92,6 +93,8 @@ def fields_at(kind: type[BaseModel], path: Sequence[str | int]) -> list[str] | N
 
 
 def _is_section(found: Any) -> bool:
+    from pydantic import BaseModel
+
     return isinstance(found, type) and issubclass(found, BaseModel)
 
 

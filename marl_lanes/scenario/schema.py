@@ -68,7 +68,7 @@ class LaneKeeping(Section):
 
 
 class Command(Section):
-    """When a vehicle in a middle lane gets a lane-change command."""
+    """Which vehicles get a lane-change command, when, and for how long."""
 
     position: Range[Position] = Field(
         (140.0, 160.0),
@@ -81,8 +81,15 @@ class Command(Section):
     lanes: tuple[Count, ...] | None = Field(
         None,
         max_length=16,
-        description="lanes whose vehicles are commanded [list of lanes with a lane on both "
-        "sides], null for all of them",
+        description="lanes whose vehicles are commanded [list of lanes], null for those with a "
+        "lane on both sides, or for both of two; from an outer lane the change is to the only side",
+    )
+    time_limit: Positive | None = Field(
+        None,
+        ge=0.01,
+        le=1e6,
+        description="time for a change [s], from its command on, then the agent's life ends as "
+        "timed_out; time_step to 1e6, null for no limit",
     )
 
 
@@ -184,14 +191,12 @@ class Scenario(Section):
     reward: Reward = Field(default=Reward(), description="weights of the terms [section]")
 
     @property
-    def middle_lanes(self) -> tuple[int, ...]:
-        """Lanes with a lane on both sides."""
-        return tuple(range(1, self.road.num_lanes - 1))
-
-    @property
     def command_lanes(self) -> tuple[int, ...]:
         """Lanes whose vehicles may be commanded."""
-        return self.middle_lanes if self.command.lanes is None else self.command.lanes
+        if self.command.lanes is not None:
+            return self.command.lanes
+        lanes = tuple(range(self.road.num_lanes))
+        return lanes[1:-1] or lanes
 
     def body_of(self, profile: str) -> tuple[float, float]:
         """Length and width of the vehicles with this driver profile [m]."""
@@ -213,17 +218,17 @@ class Scenario(Section):
                 f"command.position = {list(self.command.position)} must be below road.length = "
                 f"{self.road.length}"
             )
-        missing = [lane for lane in self.command.lanes or () if lane not in self.middle_lanes]
+        last_lane = self.road.num_lanes - 1
+        missing = [lane for lane in self.command_lanes if not 0 <= lane <= last_lane]
         if missing:
             raise ValueError(
-                f"command.lanes = {shown(missing)} must be among the middle lanes "
-                f"{list(self.middle_lanes)} of road.num_lanes = {self.road.num_lanes}"
+                f"command.lanes = {shown(missing)} must be from 0 to {last_lane}, as "
+                f"road.num_lanes = {self.road.num_lanes}"
             )
         if self.command.probability > 0.0 and not self.command_lanes:
             raise ValueError(
-                f"command.probability = {self.command.probability} must be 0: a road of "
-                f"road.num_lanes = {self.road.num_lanes} with command.lanes = {self.command.lanes} "
-                "has no middle lane to command"
+                f"command.probability = {self.command.probability} must be 0, as "
+                "command.lanes = [] names no lane"
             )
         if len(set(self.command_lanes)) < len(self.command_lanes):
             raise ValueError(
@@ -232,6 +237,11 @@ class Scenario(Section):
         if self.horizon is not None and self.horizon < self.time_step:
             raise ValueError(
                 f"horizon = {self.horizon} must be at least time_step = {self.time_step}"
+            )
+        limit = self.command.time_limit
+        if limit is not None and limit < self.time_step:
+            raise ValueError(
+                f"command.time_limit = {limit} must be at least time_step = {self.time_step}"
             )
         if self.lane_keeping.pole * self.time_step > MAX_KEEPING_STEP:
             raise ValueError(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from marl_lanes.scenario.followers import SCRIPTED
+from marl_lanes.scenario.dispositions import SCRIPTED
 from marl_lanes.scenario.schema import Scenario
 from marl_lanes.traffic.machine.state import Records, Table, structure
 from marl_lanes.traffic.roles.changer import CHANGER
@@ -46,6 +46,7 @@ CONSTANTS: Table = (
     ("command_high", "f8", "m", "command position"),
     ("command_probability", "f8", "1", ""),
     ("command_lanes", "i8", "1", "bit l set where vehicles of lane l are commanded"),
+    ("time_limit_steps", "i8", "step", "from the command on, 0 for no limit"),
     ("num_agents", "i8", "1", "commands per episode, 0 for no limit"),
     ("horizon_steps", "i8", "step", "0 for no horizon"),
     ("is_gap_kinematic", "i8", "1", "1 for rule kinematic, 0 for car_following"),
@@ -221,6 +222,7 @@ def _make_constants(scenario: Scenario) -> Records:
         "command_high": scenario.command.position[1],
         "command_probability": scenario.command.probability,
         "command_lanes": sum(1 << lane for lane in scenario.command_lanes),
+        "time_limit_steps": round((scenario.command.time_limit or 0.0) / scenario.time_step),
         "num_agents": scenario.num_agents or 0,
         "horizon_steps": round((scenario.horizon or 0.0) / scenario.time_step),
         "is_gap_kinematic": scenario.gap.rule == "kinematic",

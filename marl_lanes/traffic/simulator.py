@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
-from marl_lanes.scenario.followers import LEARNED
+from marl_lanes.scenario.dispositions import LEARNED
 from marl_lanes.traffic.arguments import (
     check_flag,
     check_form,

@@ -61,7 +61,7 @@ def live_transitions(
     }
     is_over = ~after["acting"].unsqueeze(-1)
     if group == CHANGER.group:
-        # Missed, and the horizon: the road ends, and not the attempt.
+        # Missed, timed out, and the horizon: the road or the time ends, and not the attempt.
         is_over &= ~following["truncated"]
     following["done"] = following["done"] | is_over
     following["terminated"] = following["terminated"] | is_over

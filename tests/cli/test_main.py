@@ -15,7 +15,7 @@ from cli.commands import QUICK
 from report.runs import make_run
 
 import marl_lanes
-from marl_lanes.cli import scenarios
+from marl_lanes import scenario
 from marl_lanes.cli.arguments import EXAMPLES
 from marl_lanes.cli.main import main, make_parser
 from marl_lanes.extras import MissingExtraError
@@ -121,14 +121,14 @@ def raise_error(error):
     ],
 )
 def test_an_error_is_one_line(capsys, monkeypatch, error, status, line):
-    monkeypatch.setattr(scenarios, "load_scenario", raise_error(error))
+    monkeypatch.setattr(scenario, "load_scenario", raise_error(error))
     assert main(["show", "paper"]) == status
     captured = capsys.readouterr()
     assert (captured.out, captured.err) == ("", f"{line}\n")
 
 
 def test_a_bug_is_no_bad_input(monkeypatch):
-    monkeypatch.setattr(scenarios, "load_scenario", raise_error(TypeError("a bug")))
+    monkeypatch.setattr(scenario, "load_scenario", raise_error(TypeError("a bug")))
     with pytest.raises(TypeError, match="a bug"):
         main(["show", "paper"])
 

@@ -278,6 +278,31 @@ def test_the_horizon_truncates_agents_and_road():
 
 
 @collector_warnings
+def test_a_command_that_times_out_is_truncated_and_its_slot_is_used_again():
+    """Also that of the learned follower beside it; the road goes on."""
+    limit = {"command": {"probability": 1.0, "time_limit": 3.0}}
+    overrides = {**BUSY, **limit, "num_slots": 2}
+    env = LaneChangeEnv("dense", 2, overrides=overrides, learned_followers=True, seed=0)
+    groups = ("changers", "followers")
+    idle = TensorDictModule(
+        lambda *observations: tuple(torch.zeros_like(seen[..., :1]) for seen in observations),
+        [(group, "observation") for group in groups],
+        [(group, "action") for group in groups],
+    )
+    steps = env.rollout(300, idle)
+    is_over = steps["next", "changers", "outcome"] == Outcome.TIMED_OUT
+    assert is_over.sum(1).min() > 2
+    for group in groups:
+        after = steps["next", group]
+        assert torch.equal(after["done"].squeeze(-1), is_over)
+        assert torch.equal(after["truncated"], after["done"])
+        assert not after["terminated"].any()
+        assert not after["mask"][is_over].any()
+        rows = steps[group, "mask"].sum((1, 2)) - 30 * is_over.sum((1, 2))
+        assert ((rows >= 0) & (rows <= 2 * 30)).all(), "each lives for 30 steps"
+    assert not steps["next", "done"].any()
+
+
 def test_a_collector_resets_each_road_at_its_end():
     from torchrl.collectors import Collector
 

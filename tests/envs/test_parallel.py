@@ -34,6 +34,7 @@ BUSY = {"departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
 TERMS = ("reward_yaw_acceleration", "reward_yaw_rate", "reward_deviation", "reward_failure")
 TERMS += ("reward_delay", "reward_longitudinal")
 TERMINATING = {Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD}
+TRUNCATING = {Outcome.MISSED, Outcome.HORIZON, Outcome.TIMED_OUT}
 LONG = 100_000
 
 
@@ -222,13 +223,15 @@ def test_rewards_are_the_sum_of_the_terms_and_only_steering_pays(policy):
 def test_outcomes_agree_with_terminations_and_truncations():
     seen = set()
     cases = itertools.product(["dense", "paper"], [steer, hold, random_policy(0)])
+    limits = {"dense": {"command": {"time_limit": 15.0}}, "paper": {}}
     for scenario, policy in cases:
-        road = parallel_env(scenario, overrides={"num_agents": 40, "horizon": 60.0}, seed=0)
+        overrides = {"num_agents": 40, "horizon": 60.0, **limits[scenario]}
+        road = parallel_env(scenario, overrides=overrides, seed=0)
         for _, _, _, terminations, truncations, infos in play(road, policy, seed=0):
             for name, info in infos.items():
                 outcome = info["outcome"]
                 assert terminations[name] == (outcome in TERMINATING)
-                assert truncations[name] == (outcome in {Outcome.MISSED, Outcome.HORIZON})
+                assert truncations[name] == (outcome in TRUNCATING)
                 assert (info["phase"] == Phase.ABSENT) == (outcome != Outcome.UNFINISHED)
                 seen.add(Outcome(int(outcome)))
     assert seen == set(Outcome)

@@ -8,6 +8,7 @@ from marl_lanes import env, parallel_env
 
 LONG = 100_000
 FEW = {"num_agents": 3, "command": {"probability": 1.0}}
+HASTY = {"num_agents": 3, "command": {"probability": 1.0, "time_limit": 2.0}}
 
 
 def play(road, seed):
@@ -21,7 +22,7 @@ def play(road, seed):
     return frames
 
 
-@pytest.mark.parametrize("overrides", [FEW, {**FEW, "num_agents": 60, "horizon": 40.0}])
+@pytest.mark.parametrize("overrides", [FEW, HASTY, {**FEW, "num_agents": 60, "horizon": 40.0}])
 def test_it_is_the_same_road_with_the_absent_ones_masked(overrides):
     constant = parallel_env("dense", population="constant", overrides=overrides, seed=0)
     live = parallel_env("dense", overrides=overrides, seed=0)

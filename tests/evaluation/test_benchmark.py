@@ -25,6 +25,7 @@ from marl_lanes.evaluation.measures import measure
 from marl_lanes.evaluation.metrics import evaluate, measure_each
 from marl_lanes.evaluation.policies import make_tuned_cascade_policy
 from marl_lanes.evaluation.rollout import run_maneuvers
+from marl_lanes.scenario import load_scenario
 from marl_lanes.traffic.machine.state import Outcome
 
 
@@ -87,6 +88,13 @@ def test_a_row_is_the_evaluation_of_the_same_maneuvers():
     assert set(row.decision_microseconds) == set(NUM_AGENTS)
     assert all(value > 0.0 for value in row.decision_microseconds.values())
     assert Row.model_validate_json(row.model_dump_json()) == row
+
+
+def test_a_row_has_no_place_for_commands_that_time_out():
+    hasty = load_scenario(BUSY, {"command": {"time_limit": 5.0}})
+    match = r"^command.time_limit = 5.0: must be null in a benchmark$"
+    with pytest.raises(ValueError, match=match):
+        measure_row("none", "busy", hasty, changing, 5)
 
 
 @pytest.mark.slow

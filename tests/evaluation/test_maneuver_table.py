@@ -74,6 +74,10 @@ def driven(outcome, *, last_step=90, phase=Phase.ENGAGED, num_rows=4, **changes)
             "left the road, or stood across it, while changing lanes",
         ),
         (
+            driven(Outcome.TIMED_OUT, num_aborts=1),
+            "ran out of time while changing lanes after 1 abort",
+        ),
+        (
             driven(Outcome.HORIZON, last_step=50),
             "cut off by the end of the episode while waiting for a gap",
         ),

@@ -92,6 +92,7 @@ def test_the_outcome_that_a_person_sees_says_who_wins(monkeypatch):
     ends = [
         (0, Outcome.COMPLETED, True),
         (0, Outcome.MISSED, False),
+        (1, Outcome.TIMED_OUT, False),
         # Completed, and lost or in a collision afterwards.
         (2, Outcome.COMPLETED, False),
         (2, Outcome.COLLISION, False),
@@ -99,4 +100,4 @@ def test_the_outcome_that_a_person_sees_says_who_wins(monkeypatch):
         (2, Outcome.HORIZON, False),
     ]
     played = [SimpleNamespace(env=e, outcome=o, is_success=s) for e, o, s in ends]
-    assert tally(played, None, 4) == [(1, 1, 0), (0, 0, 0), (0, 0, 4), (0, 0, 0)]
+    assert tally(played, None, 4) == [(1, 1, 0), (0, 1, 0), (0, 0, 4), (0, 0, 0)]

@@ -192,6 +192,17 @@ def test_outcomes_are_counted(driven):
     assert any(one.aftermath is not None for one in driven)
 
 
+def test_with_too_little_time_every_command_times_out_and_none_is_missed():
+    limit = {"command": {**QUICK["command"], "time_limit": 2.0}}
+    hasty = load_scenario("adversarial", {**QUICK, **limit})
+    driven = run_maneuvers(hasty, slowly, 10, seed=3)
+    assert {one.outcome for one in driven} == {Outcome.TIMED_OUT}
+    assert {one.time_to_end for one in driven} == {2.0}
+    summary = evaluate(driven, hasty, with_optimum=False)
+    rates = [summary[f"{name}_rate"] for name in ("success", "timed_out", "missed", "horizon")]
+    assert rates == [0.0, 1.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize("name", ["paper", "touch", "curved"])
 def test_no_maneuver_is_cheaper_than_its_optimum(name):
     scenario = load_scenario(name, {"num_agents": 2, "command": {"probability": 1.0}})

@@ -1,6 +1,7 @@
 """The life of a command: which vehicles get one, the gap rule, phases, the outcome."""
 
 import math
+from dataclasses import replace
 
 from reference.following import Following
 from reference.records import Agent
@@ -45,22 +46,44 @@ class Commands(Following):
             return Outcome.COMPLETED
         if car.is_past_end:
             return Outcome.MISSED
+        if self.is_timed_out(agent):
+            return Outcome.TIMED_OUT
         if self.is_late:
             return Outcome.HORIZON
         return Outcome.UNFINISHED
+
+    def is_timed_out(self, agent):
+        limit = self.scenario.command.time_limit
+        age = self.counts["step"] - agent.born
+        return limit is not None and age >= round(limit / self.scenario.time_step)
+
+    def lane_after(self, agent):
+        """Where a car stays whose time is over: its body's lane nearest to where it drove.
+
+        Or its body's a little later, if it drove on.
+        """
+        car, goal = agent.car, agent.target if agent.phase == Phase.ENGAGED else agent.origin
+        later = car.lateral_position
+        later += car.speed * math.sin(car.yaw) / self.scenario.lane_keeping.pole
+        now, then = self.lanes_of(car), self.lanes_of(replace(car, lateral_position=later))
+        lanes = range(min(now[0], then[0]), max(now[-1], then[-1]) + 1)
+        return min(lanes, key=lambda lane: abs(lane - goal))
 
     def end(self, agent):
         if agent.outcome == Outcome.UNFINISHED:
             return
         if agent.outcome == Outcome.COMPLETED:
             agent.car.lane = agent.target
+        elif agent.outcome == Outcome.TIMED_OUT:
+            agent.car.lane = self.lane_after(agent)
         agent.car.agent = None
         self.counts["num_live"] -= 1
         self.counts["num_ended"] += 1
 
     def give_commands(self):
         scenario, counts = self.scenario, self.counts
-        middle = range(1, scenario.road.num_lanes - 1)
+        top = scenario.road.num_lanes - 1
+        middle = [0, 1] if top == 1 else range(1, top)
         lanes = middle if scenario.command.lanes is None else scenario.command.lanes
         for car in self.cars:
             if car.position < car.command_position or car.moving_over:
@@ -75,7 +98,9 @@ class Commands(Following):
             car.command_position = math.inf
             if self.random.uniform(0.0, 1.0) >= scenario.command.probability:
                 continue
-            direction = 1 if self.random.uniform(0.0, 1.0) < 0.5 else -1
+            direction = {0: 1, top: -1}.get(car.lane)
+            if direction is None:
+                direction = 1 if self.random.uniform(0.0, 1.0) < 0.5 else -1
             number, origin = counts["num_commands"], car.lane
             target, born = origin + direction, counts["step"]
             car.agent = Agent(free[0], car, number, direction, origin, target, born)

@@ -105,6 +105,14 @@ def test_every_number_is_that_of_the_file(tmp_path):
     assert "python train.py seed=0" in found.texts("pre")
 
 
+def test_a_number_that_another_version_did_not_write_is_left_out(tmp_path):
+    rate = {"value": 0.5, "low": 0.25, "high": 0.75}
+    intervals = {one.key: rate for one in HEADLINES if one.key != "timed_out_rate"}
+    found = report(tmp_path, intervals=intervals)
+    assert found.all("li", id="missed_rate")
+    assert not found.all("li", id="timed_out_rate")
+
+
 def test_a_number_that_is_not_defined(tmp_path):
     nothing = {"value": None, "low": None, "high": None}
     one_road = {"value": 0.5, "low": None, "high": None}

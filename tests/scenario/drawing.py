@@ -93,14 +93,13 @@ def draw_fields(generator, corner=None):
     rule["max_deviation"] = min(rule["max_deviation"], 0.45 * road["lane_width"])
     position = fields["command"]["position"]
     fields["command"]["position"] = [min(x, 0.9 * road["length"]) for x in position]
-    if road["num_lanes"] == 2:
-        fields["command"]["probability"] = 0.0
     gap, keeping = fields["gap"], fields["lane_keeping"]
     gap["braking_margin"] = min(gap["braking_margin"], 0.9 * gap["safe_braking"])
     keeping["pole"] = min(keeping["pole"], 0.5 / fields["time_step"])
     keeping["max_yaw_acceleration"] = max(keeping["max_yaw_acceleration"], 0.14 * keeping["pole"])
-    if fields["horizon"] is not None:
-        fields["horizon"] = max(fields["horizon"], fields["time_step"])
+    for section, name in ((fields, "horizon"), (fields["command"], "time_limit")):
+        if section[name] is not None:
+            section[name] = max(section[name], fields["time_step"])
     if generator.integers(2):
         # Sharper than a tenth of them can be: refused where lane keeping would leave its lane.
         radius = max(50.0, 2.0 * road["num_lanes"] * road["lane_width"])

@@ -17,12 +17,13 @@ WRONG = [
     ({"time_step": -0.1}, ["time_step = -0.1: must be greater than"]),
     ({"horizon": 0.0}, ["horizon = 0.0: must be greater than or equal to 0.01"]),
     ({"command": {"position": [140.0, 1200.0]}}, ["command.position = [140.0, 1200.0]", "1000.0"]),
-    ({"command": {"lanes": [0]}}, ["command.lanes = [0] must be among the middle lanes [1]"]),
-    ({"command": {"lanes": [2]}}, ["command.lanes = [2] must be among the middle lanes [1]"]),
-    ({"command": {"lanes": [-1]}}, ["command.lanes = [-1] must be among the middle lanes [1]"]),
+    ({"command": {"lanes": [0, 3]}}, ["command.lanes = [3] must be from 0 to 2, as", "= 3"]),
+    ({"command": {"lanes": [-1]}}, ["command.lanes = [-1] must be from 0 to 2, as", "= 3"]),
     ({"command": {"lanes": [1, 1]}}, ["command.lanes", "1, 1"]),
     ({"command": {"probability": 1.5}}, ["command.probability = 1.5: must be less than or equal"]),
-    ({"road": {"num_lanes": 2}}, ["command.probability", "must be 0", "road.num_lanes = 2"]),
+    ({"command": {"lanes": []}}, ["command.probability = 0.333", "must be 0, as command.lanes"]),
+    ({"command": {"time_limit": 0.05}}, ["command.time_limit = 0.05 must be at least time_step"]),
+    ({"command": {"time_limit": 1e7}}, ["command.time_limit = 10000000.0: must be less than or"]),
     ({"vehicle": {"width": 2.5}, "road": {"lane_width": 2.5}}, ["vehicle.width = 2.5", "2.5"]),
     ({"completion": {"max_deviation": 1.9}}, ["completion.max_deviation = 1.9", "3.75"]),
 ]
@@ -84,7 +85,7 @@ def test_a_horizon_that_cannot_be_counted_in_steps_is_refused(horizon):
     assert "horizon" in error_of("paper", {"horizon": horizon})
 
 
-UNLIMITED = {"command.lanes[]": "must be among the road's middle lanes, at most 14"}
+UNLIMITED = {"command.lanes[]": "must be among the road's lanes, at most 16"}
 """Numbers without limits of their own, and why."""
 
 

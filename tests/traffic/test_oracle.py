@@ -28,6 +28,7 @@ def hold(number, *, is_whole):
     @given(drawn())
     @example(Drawn({"command": {"position": [0.0, 0.0]}}))
     @example(Drawn({**MIXED, "vehicle": {"width": 2.0}}, seed=3, noise=0.4, bias=0.3))
+    @example(Drawn({"command": {"position": [20.0, 80.0], "lanes": [0, 2, 4], "time_limit": 3.0}}))
     def compare(case):
         met.update(follow_from_reset(case, NUM_STEPS))
         met["cases"] += 1

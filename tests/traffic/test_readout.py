@@ -27,7 +27,7 @@ def test_every_phase_and_outcome(has_longitudinal):
     live = rows(Phase.WAITING, Phase.ENGAGED, Phase.ABORTING)
     steering = rows(Phase.ENGAGED, Phase.ABORTING)
     terminated = ends(Outcome.COMPLETED, Outcome.COLLISION, Outcome.OFF_ROAD)
-    truncated = ends(Outcome.MISSED, Outcome.HORIZON)
+    truncated = ends(Outcome.MISSED, Outcome.HORIZON, Outcome.TIMED_OUT)
     wanted = {
         "mask": live,
         "steering": steering,

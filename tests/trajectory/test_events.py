@@ -59,6 +59,11 @@ def test_what_began_before_the_recording_is_no_event():
     assert command.engaged_steps == (5,)
 
 
+@pytest.mark.parametrize("outcome", [Outcome.MISSED, Outcome.TIMED_OUT, Outcome.HORIZON])
+def test_every_end_without_a_change_is_told_by_its_name(outcome):
+    assert find_events(changed(outcome=outcome))[-1].kind == outcome.name.lower()
+
+
 def test_a_loss_after_completion_is_told_with_the_command():
     rows = changed()
     rows["fate"][-1] = Fate.STRAYS

@@ -8,7 +8,8 @@ const OUTCOMES = {
   collision: "collision",
   off_road: "off the road",
   missed: "missed",
-  horizon: "time ran out",
+  timed_out: "timed out",
+  horizon: "episode over",
 };
 /** Rows of hard braking beyond this number are left out, which the page says. */
 const MAX_BRAKINGS = 100;

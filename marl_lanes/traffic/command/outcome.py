@@ -16,6 +16,7 @@ _COLLISION = int(Outcome.COLLISION)
 _OFF_ROAD = int(Outcome.OFF_ROAD)
 _MISSED = int(Outcome.MISSED)
 _HORIZON = int(Outcome.HORIZON)
+_TIMED_OUT = int(Outcome.TIMED_OUT)
 
 
 @internal
@@ -41,6 +42,8 @@ def find_outcome(
         return _COMPLETED
     if car.fate == _LEAVES:
         return _MISSED
+    if 0 < constants.time_limit_steps <= road.step - agent.born_step:
+        return _TIMED_OUT
     if road.step == constants.horizon_steps > 0:
         return _HORIZON
     return _UNFINISHED

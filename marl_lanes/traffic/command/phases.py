@@ -12,7 +12,7 @@ from marl_lanes.traffic.command.outcome import has_arrived
 from marl_lanes.traffic.machine.compiled import compiled, internal
 from marl_lanes.traffic.machine.random import uniform
 from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
-from marl_lanes.traffic.road.geometry import is_body_in, lane_centre
+from marl_lanes.traffic.road.geometry import half_extent, is_body_in, lane_centre, lane_under
 
 _ABSENT = int(Phase.ABSENT)
 _WAITING = int(Phase.WAITING)
@@ -20,6 +20,7 @@ _ENGAGED = int(Phase.ENGAGED)
 _ABORTING = int(Phase.ABORTING)
 _UNFINISHED = int(Outcome.UNFINISHED)
 _COMPLETED = int(Outcome.COMPLETED)
+_TIMED_OUT = int(Outcome.TIMED_OUT)
 
 
 @internal
@@ -65,6 +66,16 @@ def lateral_deviation(agent: Any, car: Any, constants: Any) -> float:
 
 
 @internal
+def choose_direction(road: Any, lane: int, constants: Any) -> int:
+    """+1 to the left or -1 to the right, drawn; from an outer lane the only side there is."""
+    if lane == 0:
+        return 1
+    if lane == constants.num_lanes - 1:
+        return -1
+    return 1 if uniform(road, 0.0, 1.0) < 0.5 else -1
+
+
+@internal
 def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: Any) -> None:
     """Give commands to vehicles in the commanded lanes at their command position, each once.
 
@@ -90,7 +101,7 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
         if uniform(road, 0.0, 1.0) >= constants.command_probability:
             continue
         agent = agents[index]
-        agent.direction = 1 if uniform(road, 0.0, 1.0) < 0.5 else -1
+        agent.direction = choose_direction(road, car.lane, constants)
         agent.vehicle = slot
         agent.command = road.num_commands
         agent.phase = _WAITING
@@ -122,7 +133,24 @@ def change_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, const
 
 
 @internal
-def end_commands(road: Any, vehicles: Any, agents: Any) -> None:
+def lane_to_keep(agent: Any, car: Any, constants: Any) -> int:
+    """The lane that lane keeping steers to once the command's time is over.
+
+    The one that the agent drives to, the target lane while engaged, else its own; or the nearest to
+    it that the body is in, or is in within 1/p at its lateral speed, p the pole of lane keeping. So
+    nobody goes over a marking for a command that has ended, and who is over it, or cannot stay
+    away from it, does not swerve back.
+    """
+    lane = agent.target_lane if agent.phase == _ENGAGED else agent.origin_lane
+    way = car.speed * math.sin(car.yaw) / constants.keeping_pole
+    extent = half_extent(car.yaw, constants)
+    low = lane_under(car.lateral_position + min(way, 0.0) - extent, constants)
+    high = lane_under(car.lateral_position + max(way, 0.0) + extent, constants)
+    return int(min(max(lane, low), high))
+
+
+@internal
+def end_commands(road: Any, vehicles: Any, agents: Any, constants: Any) -> None:
     """End the commands that have an outcome; their slots are free again from the next step on."""
     for index in range(agents.shape[0]):
         agent = agents[index]
@@ -131,6 +159,8 @@ def end_commands(road: Any, vehicles: Any, agents: Any) -> None:
         car = vehicles[agent.vehicle]
         if agent.outcome == _COMPLETED:
             car.lane = agent.target_lane
+        elif agent.outcome == _TIMED_OUT:
+            car.lane = lane_to_keep(agent, car, constants)
         agent.phase = _ABSENT
         car.agent = NONE
         road.num_live -= 1

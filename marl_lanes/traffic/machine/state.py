@@ -39,10 +39,11 @@ class Outcome(IntEnum):
     OFF_ROAD = 3
     MISSED = 4
     HORIZON = 5
+    TIMED_OUT = 6
 
 
 def truncates(outcome: int) -> bool:
-    """Whether the outcome is a truncation: the road or the time has ended, not the task."""
+    """Whether the outcome is a truncation: the road or a time has ended, not the task."""
     return outcome >= _FIRST_TRUNCATING
 
 

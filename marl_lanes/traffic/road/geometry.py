@@ -88,13 +88,17 @@ def turned_extent(sine: float, cosine: float, profile: Any) -> float:
 
 
 @internal
+def lane_under(lateral_position: float, constants: Any) -> int:
+    """The lane at a lateral position [m]; beside the road the outermost one."""
+    lane = math.floor(lateral_position / constants.lane_width)
+    return int(min(max(lane, 0), constants.num_lanes - 1))
+
+
+@internal
 def occupy(car: Any, extent: float, constants: Any) -> None:
     """Set the lanes that the body overlaps; parts off the road count to the outermost lane."""
-    last = constants.num_lanes - 1
-    low = math.floor((car.lateral_position - extent) / constants.lane_width)
-    high = math.floor((car.lateral_position + extent) / constants.lane_width)
-    car.lane_low = min(max(low, 0), last)
-    car.lane_high = min(max(high, 0), last)
+    car.lane_low = lane_under(car.lateral_position - extent, constants)
+    car.lane_high = lane_under(car.lateral_position + extent, constants)
 
 
 @internal

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marl_lanes.scenario import Scenario, ScenarioError
-from marl_lanes.scenario.followers import LEARNED, SCRIPTED
+from marl_lanes.scenario.dispositions import LEARNED, SCRIPTED
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.arguments import check_functions, read_numbers
 from marl_lanes.traffic.roles.follower import FOLLOWER

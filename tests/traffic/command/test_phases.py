@@ -73,6 +73,31 @@ def test_only_the_named_lanes_are_commanded():
     assert max(row["position"] for row in rows) < 64.0
 
 
+def test_from_an_outer_lane_the_change_is_to_the_only_side():
+    overrides = {"command": {"probability": 1.0, "lanes": [0, 2, 4]}, "num_agents": None}
+    simulator = Simulator("five_lanes", 4, seed=3, overrides=overrides)
+    simulator.reset()
+    rows = births(simulator, 300)
+    ways = {(row["origin_lane"], row["direction"]) for row in rows}
+    assert ways == {(0, 1), (2, 1), (2, -1), (4, -1)}
+
+
+def test_of_two_lanes_both_are_commanded_and_both_changes_complete():
+    overrides = {**ALWAYS, "num_agents": None}
+    simulator = Simulator("two_lanes", 4, seed=3, overrides=overrides)
+    simulator.reset()
+    ended = []
+    for _ in range(600):
+        simulator.step(damped_actions(simulator))
+        rows = simulator.agents[simulator.has_ended]
+        assert (rows["direction"] == np.where(rows["origin_lane"] == 0, 1, -1)).all()
+        ended += zip(rows["direction"].tolist(), rows["outcome"].tolist(), strict=True)
+    for direction in (1, -1):
+        outcomes = [outcome for way, outcome in ended if way == direction]
+        assert len(outcomes) > 20
+        assert outcomes.count(Outcome.COMPLETED) > 0.9 * len(outcomes)
+
+
 def test_few_slots_delay_commands_and_lose_none():
     overrides = {**ALWAYS, "num_slots": 1, "num_agents": 6}
     simulator = Simulator("dense", 3, seed=1, overrides=overrides)

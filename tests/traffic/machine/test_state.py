@@ -72,8 +72,9 @@ def test_a_new_state_has_no_vehicle_and_no_agent():
     assert not any(state.tobytes())
 
 
-def test_the_road_and_the_horizon_truncate_and_the_task_does_not():
+def test_the_road_and_what_limits_time_truncate_and_the_task_does_not():
     assert {outcome for outcome in Outcome if truncates(outcome)} == {
         Outcome.MISSED,
         Outcome.HORIZON,
+        Outcome.TIMED_OUT,
     }
