@@ -131,7 +131,7 @@ def judge(scene: Any, observations: Any, features: Any) -> None:
         has_ended = True
     if has_ended:
         # After all observations: until it ends, an engaged agent counts as in its target lane.
-        end_commands(road, vehicles, agents, constants)
+        end_commands(road, vehicles, agents, scene.profiles, constants)
 
 
 @internal

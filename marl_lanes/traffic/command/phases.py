@@ -133,7 +133,7 @@ def change_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, const
 
 
 @internal
-def lane_to_keep(agent: Any, car: Any, constants: Any) -> int:
+def lane_to_keep(agent: Any, car: Any, profiles: Any, constants: Any) -> int:
     """The lane that lane keeping steers to once the command's time is over.
 
     The one that the agent drives to, the target lane while engaged, else its own; or the nearest to
@@ -143,14 +143,14 @@ def lane_to_keep(agent: Any, car: Any, constants: Any) -> int:
     """
     lane = agent.target_lane if agent.phase == _ENGAGED else agent.origin_lane
     way = car.speed * math.sin(car.yaw) / constants.keeping_pole
-    extent = half_extent(car.yaw, constants)
+    extent = half_extent(car.yaw, profiles[car.profile])
     low = lane_under(car.lateral_position + min(way, 0.0) - extent, constants)
     high = lane_under(car.lateral_position + max(way, 0.0) + extent, constants)
     return int(min(max(lane, low), high))
 
 
 @internal
-def end_commands(road: Any, vehicles: Any, agents: Any, constants: Any) -> None:
+def end_commands(road: Any, vehicles: Any, agents: Any, profiles: Any, constants: Any) -> None:
     """End the commands that have an outcome; their slots are free again from the next step on."""
     for index in range(agents.shape[0]):
         agent = agents[index]
@@ -160,7 +160,7 @@ def end_commands(road: Any, vehicles: Any, agents: Any, constants: Any) -> None:
         if agent.outcome == _COMPLETED:
             car.lane = agent.target_lane
         elif agent.outcome == _TIMED_OUT:
-            car.lane = lane_to_keep(agent, car, constants)
+            car.lane = lane_to_keep(agent, car, profiles, constants)
         agent.phase = _ABSENT
         car.agent = NONE
         road.num_live -= 1
