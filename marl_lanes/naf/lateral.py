@@ -291,10 +291,13 @@ class SmoothCascadeMu(CascadeMu):
 class GatedCascadeMu(CascadeMu):
     """The cascade toward a share of the deviation, 0 to 1, from one more network, initially 0.98.
 
-    With the share 0 the vehicle goes straight on, within the threshold. So a policy can wait where
-    it foresees that a change would be aborted; nothing makes sure that it ever arrives.
+    With the share 0 the vehicle goes straight on, within the threshold. So a policy can wait in its
+    lane where it foresees that a change would be aborted. Below ALL_BEGUN_AT the share is 1, from
+    BEGINS_AT on linearly: whatever is learned, a change that has begun arrives.
     """
 
+    BEGINS_AT, ALL_BEGUN_AT = 3.6, 3.3
+    """[m] Deviations. In narrower lanes than that it is the cascade."""
     initial_share = 0.98
     sharpness = 5.0
     """Of the gate, because a change with half of the deviation is dearer than a change or none."""
@@ -308,7 +311,9 @@ class GatedCascadeMu(CascadeMu):
 
     def wanted(self, deviation: Tensor, normalised: Tensor) -> Tensor:
         """The share of the deviation that it steers for, (..., 1) [m]."""
-        return deviation * torch.sigmoid(self.sharpness * self.gate(normalised))
+        share = torch.sigmoid(self.sharpness * self.gate(normalised))
+        begun = (self.BEGINS_AT - deviation) / (self.BEGINS_AT - self.ALL_BEGUN_AT)
+        return deviation * torch.lerp(share, torch.ones_like(share), begun.clamp(0.0, 1.0))
 
 
 def _logit(share: float) -> float:

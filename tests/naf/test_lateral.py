@@ -212,8 +212,8 @@ def test_cascade_and_damped_mu_settle_and_the_papers_does_not():
     assert max(map(abs, paper[-100:])) > 1.0  # and oscillates ever more widely about it
 
 
-def test_the_gated_cascade_waits_and_goes():
-    """Open, it is the cascade; closed, it goes straight on, wherever it is."""
+def test_the_gated_cascade_waits_or_arrives():
+    """Open, it is the cascade; closed, it waits, and a change that has begun arrives."""
     network, plain = make_network("cascade-gated"), make_network("cascade")
     plain.mu.load_state_dict(network.mu.state_dict(), strict=False)
 
@@ -224,19 +224,26 @@ def test_the_gated_cascade_waits_and_goes():
     turn_gate(1e30)
     assert lane_change(network, 20.0) == lane_change(plain, 20.0)
     turn_gate(-1e30)
-    for deviation in (3.75, 1.0):
-        held = lane_change(network, deviation=deviation, yaw=0.03)
-        # It begins at 0.66 m/s; what is left is within the threshold.
-        assert abs(held[20] - deviation) < 0.6
-        assert max(abs(b - a) for a, b in itertools.pairwise(held[20:])) < 0.007
-    turn_gate(0.0)
-    half, whole = (
-        one.policy()(TensorDict({"observation": state(lateral_deviation=value)}))["action"].item()
-        for one, value in ((network, 0.5), (plain, 0.25))
-    )
-    # The gains, too, are functions of the deviation.
-    assert half == pytest.approx(whole, rel=0.1)
-    assert whole > 0.01
+    assert max(abs(value - 3.75) for value in lane_change(network, 10.0)) == 0.0
+    # 0.66 m/s toward the target lane, from its own lane, and over the marking.
+    for deviation in (3.75, 3.5, 2.8):
+        begun = lane_change(network, deviation=deviation, yaw=0.03)
+        assert min(begun) > -0.5
+        assert max(map(abs, begun[-100:])) < 0.3
+    # Away from it: it straightens, and stays where it is but for what is within the threshold.
+    away = lane_change(network, 5.0, yaw=-0.01)
+    assert 3.6 < away[-1] < 4.25
+    # An abort is a short way back.
+    assert lane_change(network, deviation=-0.9) == lane_change(plain, deviation=-0.9)
+
+
+@pytest.mark.parametrize(("deviation", "share"), [(3.9, 0.5), (3.6, 0.5), (3.45, 0.75), (3.3, 1.0)])
+def test_a_begun_change_opens_the_gate(deviation, share):
+    mu = make_network("cascade-gated").mu
+    with torch.no_grad():
+        mu.gate.last_bias.fill_(0.0)
+    column = torch.tensor([[deviation]])
+    assert mu.wanted(column, torch.zeros(1, 6)).item() == pytest.approx(share * deviation, rel=0.01)
 
 
 @pytest.mark.parametrize("poles", [-1e30, 1e30])
