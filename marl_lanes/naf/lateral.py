@@ -234,6 +234,10 @@ class CascadeMu(_YawAcceleration):
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
         super().__init__(name, features, box)
+        self.heads = self.make_heads(len(features), hidden_sizes)
+
+    def make_heads(self, num_inputs: int, hidden_sizes: Sequence[int]) -> Heads:
+        """Six networks, initially the tuned gains."""
         tuned = TUNED_CASCADE
         initial = (
             self.initial_limit_logit(self.limit_floor),
@@ -243,7 +247,7 @@ class CascadeMu(_YawAcceleration):
             _range_logit(tuned.damping, *self.dampings),
             _range_logit(tuned.threshold, 0.0, self.max_threshold),
         )
-        self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
+        return Heads(num_inputs, hidden_sizes, [[value] for value in initial])
 
     def gains(self, speed: Tensor, normalised: Tensor) -> CascadeGains[Tensor]:
         """The gains in a state, (..., 1) each."""
@@ -293,7 +297,9 @@ class GatedCascadeMu(CascadeMu):
 
     With the share 0 the vehicle goes straight on, within the threshold. So a policy can wait in its
     lane where it foresees that a change would be aborted. Below ALL_BEGUN_AT the share is 1, from
-    BEGINS_AT on linearly: whatever is learned, a change that has begun arrives.
+    BEGINS_AT on linearly: whatever is learned, a change that has begun arrives. The gains are
+    functions of the own motion alone (`needs`): what others do, however strange, decides whether
+    the vehicle changes lanes, and not how it steers.
     """
 
     BEGINS_AT, ALL_BEGUN_AT = 3.6, 3.3
@@ -306,8 +312,13 @@ class GatedCascadeMu(CascadeMu):
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
         super().__init__(name, features, box, hidden_sizes)
+        self.heads = self.make_heads(len(self.needs), hidden_sizes)
         logit = _logit(self.initial_share) / self.sharpness
         self.gate = Heads(len(features), hidden_sizes, [[logit]])
+
+    def gains(self, speed: Tensor, normalised: Tensor) -> CascadeGains[Tensor]:
+        """The gains in a state, (..., 1) each."""
+        return super().gains(speed, normalised[..., self.columns])
 
     def wanted(self, deviation: Tensor, normalised: Tensor) -> Tensor:
         """The share of the deviation that it steers for, (..., 1) [m]."""

@@ -89,7 +89,8 @@ def test_what_surrounds_the_step_compiles(name, monkeypatch):
 def test_the_step_compiles(capability, monkeypatch):
     ptx = compile_kernel("advance", capability, monkeypatch)
     check(ptx, capability)
-    assert "prefetch" not in ptx
+    # The instruction; a function's name may have the word.
+    assert not re.search(r"^\s*prefetch", ptx, re.MULTILINE)
 
 
 @pytest.mark.long
