@@ -234,10 +234,6 @@ class CascadeMu(_YawAcceleration):
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
         super().__init__(name, features, box)
-        self.heads = self.make_heads(len(features), hidden_sizes)
-
-    def make_heads(self, num_inputs: int, hidden_sizes: Sequence[int]) -> Heads:
-        """Six networks, initially the tuned gains."""
         tuned = TUNED_CASCADE
         initial = (
             self.initial_limit_logit(self.limit_floor),
@@ -247,7 +243,7 @@ class CascadeMu(_YawAcceleration):
             _range_logit(tuned.damping, *self.dampings),
             _range_logit(tuned.threshold, 0.0, self.max_threshold),
         )
-        return Heads(num_inputs, hidden_sizes, [[value] for value in initial])
+        self.heads = Heads(len(features), hidden_sizes, [[value] for value in initial])
 
     def gains(self, speed: Tensor, normalised: Tensor) -> CascadeGains[Tensor]:
         """The gains in a state, (..., 1) each."""
@@ -278,12 +274,7 @@ class CascadeMu(_YawAcceleration):
         """The greedy yaw acceleration [rad/s^2], and the slope of the cost |a| at it."""
         speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
         gains = self.gains(speed, normalised)
-        wanted = self.wanted(deviation, normalised)
-        return steer_by_cascade(speed, wanted, yaw, yaw_rate - curvature * speed, gains)
-
-    def wanted(self, deviation: Tensor, normalised: Tensor) -> Tensor:  # noqa: ARG002
-        """The deviation that it steers for, (..., 1) [m]."""
-        return deviation
+        return steer_by_cascade(speed, deviation, yaw, yaw_rate - curvature * speed, gains)
 
 
 class SmoothCascadeMu(CascadeMu):
@@ -296,15 +287,16 @@ class GatedCascadeMu(CascadeMu):
     """The cascade toward a share of the deviation, 0 to 1, from one more network, initially 0.98.
 
     With the share 0 the vehicle goes straight on, within the threshold. So a policy can wait in its
-    lane where it foresees that a change would be aborted. Below ALL_BEGUN_AT the share is 1, from
-    BEGINS_AT on linearly: whatever is learned, a change that has begun arrives. The gains are
-    functions of the own motion alone (`needs`): what others do, however strange, decides whether
-    the vehicle changes lanes, and not how it steers.
+    lane where it foresees that a change would be aborted. A change has begun below BEGINS_AT and
+    wholly below ALL_BEGUN_AT, linearly between: from there on the share is 1, and the gains see the
+    own motion alone (`needs`). So whatever is learned, a change that has begun arrives, and what
+    others do, however strange, does not change how it steers.
     """
 
     BEGINS_AT, ALL_BEGUN_AT = 3.6, 3.3
     """[m] Deviations. In narrower lanes than that it is the cascade."""
     initial_share = 0.98
+    others: Tensor
     sharpness = 5.0
     """Of the gate, because a change with half of the deviation is dearer than a change or none."""
 
@@ -312,19 +304,20 @@ class GatedCascadeMu(CascadeMu):
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
     ) -> None:
         super().__init__(name, features, box, hidden_sizes)
-        self.heads = self.make_heads(len(self.needs), hidden_sizes)
         logit = _logit(self.initial_share) / self.sharpness
         self.gate = Heads(len(features), hidden_sizes, [[logit]])
+        others = [float(feature not in self.needs) for feature in features]
+        self.register_buffer("others", torch.tensor(others), persistent=False)
 
-    def gains(self, speed: Tensor, normalised: Tensor) -> CascadeGains[Tensor]:
-        """The gains in a state, (..., 1) each."""
-        return super().gains(speed, normalised[..., self.columns])
-
-    def wanted(self, deviation: Tensor, normalised: Tensor) -> Tensor:
-        """The share of the deviation that it steers for, (..., 1) [m]."""
-        share = torch.sigmoid(self.sharpness * self.gate(normalised))
+    def act(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
+        """The greedy yaw acceleration [rad/s^2], and the slope of the cost |a| at it."""
+        speed, deviation, yaw, yaw_rate, curvature = self.read(observation)
         begun = (self.BEGINS_AT - deviation) / (self.BEGINS_AT - self.ALL_BEGUN_AT)
-        return deviation * torch.lerp(share, torch.ones_like(share), begun.clamp(0.0, 1.0))
+        begun = begun.clamp(0.0, 1.0)
+        share = torch.sigmoid(self.sharpness * self.gate(normalised))
+        wanted = deviation * torch.lerp(share, torch.ones_like(share), begun)
+        gains = self.gains(speed, normalised * (1.0 - begun * self.others))
+        return steer_by_cascade(speed, wanted, yaw, yaw_rate - curvature * speed, gains)
 
 
 def _logit(share: float) -> float:

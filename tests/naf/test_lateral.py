@@ -251,12 +251,15 @@ def test_others_decide_whether_the_gated_cascade_changes_lanes_and_not_how():
 
 
 @pytest.mark.parametrize(("deviation", "share"), [(3.9, 0.5), (3.6, 0.5), (3.45, 0.75), (3.3, 1.0)])
-def test_a_begun_change_opens_the_gate(deviation, share):
+def test_a_begun_change_opens_the_gate(deviation, share, monkeypatch):
     mu = make_network("cascade-gated").mu
+    monkeypatch.setattr(mu, "gains", lambda *_: TUNED_CASCADE)
     with torch.no_grad():
         mu.gate.last_bias.fill_(0.0)
-    column = torch.tensor([[deviation]])
-    assert mu.wanted(column, torch.zeros(1, 6)).item() == pytest.approx(share * deviation, rel=0.01)
+    seen = state(speed=20.0, lateral_deviation=deviation, yaw=0.02, yaw_rate=0.01)
+    columns = (torch.tensor([value]) for value in (20.0, share * deviation, 0.02, 0.01))
+    wanted, _ = steer_by_cascade(*columns, TUNED_CASCADE)
+    assert mu(seen, torch.zeros_like(seen)).item() == pytest.approx(wanted.item(), rel=0.01)
 
 
 @pytest.mark.parametrize("poles", [-1e30, 1e30])
