@@ -30,7 +30,8 @@ class Anticipation:
     the present lateral speed. By then the gap is s - dv t + (a - a_f) t^2/2, with the accelerations
     a of the changer and a_f of the follower, and the gap rule wants s*/sqrt(1 + b_safe/a_m), where
     Eq. 9 brakes with b_safe; s* is that of the driver profile with the largest share, because
-    nobody sees which one drives behind.
+    nobody sees which one drives behind. The body is the scenario's vehicle, also of a profile with
+    another size.
 
     Args:
         scenario: its road, vehicles, drivers and gap rule.
