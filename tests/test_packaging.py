@@ -155,7 +155,7 @@ def test_the_installed_wheel_runs_from_another_folder(wheel, installed):
     # Up to where it would train: code, fields and recipes are in the wheel.
     train = (python.parent / "marl-lanes", "train", "scenario=interactive", "--cfg", "job")
     config = yaml.safe_load(run(*train, cwd=elsewhere, PYTHONWARNINGS="default"))
-    assert (config["recipe"], config["network"]["mu"]) == ("interactive", "cascade+idm")
+    assert (config["recipe"], config["network"]["mu"]) == ("interactive", "cascade-gated+idm")
 
 
 @pytest.mark.long

@@ -158,7 +158,9 @@ def test_policy_has_the_parameters_of_mu_and_no_others(mu):
 def test_mu_frozen_stops_both_parts(mu, is_frozen):
     network = make_network(mu)
     network.mu_frozen = is_frozen
-    data = call(network, make_observation(5), make_action(5))
+    observation = make_observation(16)
+    observation[:8, FEATURES.index("lateral_deviation")] = 3.75  # before the change has begun
+    data = call(network, observation, make_action(16))
     data["state_action_value"].sum().backward()
     for name, parameter in network.named_parameters():
         if is_frozen and name.startswith("mu."):
@@ -171,6 +173,7 @@ def test_mu_frozen_stops_both_parts(mu, is_frozen):
 def test_the_loss_trains_every_network(mu):
     loss = make_loss(make_network(mu))
     observation, action = make_observation(16), make_action(16)
+    observation[:8, FEATURES.index("lateral_deviation")] = 3.75  # before the change has begun
     data = TensorDict({"observation": observation, "action": action}, [16])
     data["next"] = TensorDict(
         {

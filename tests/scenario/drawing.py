@@ -85,6 +85,8 @@ def draw_fields(generator, corner=None):
     kinds = ("cooperative", "neutral", "adversarial", "learned")
     fields["followers"]["mix"] = {kind: float(generator.integers(1, 4)) for kind in kinds}
     fields["observation"]["features"] = list(FeatureName.__args__)
+    if fields["observation"]["grid"] is not None:
+        fields["observation"]["grid"]["num_lanes"] |= 1  # odd
     road, vehicle = fields["road"], fields["vehicle"]
     for body in (vehicle, *fields["drivers"]["profiles"].values()):
         if body["width"] is not None:
