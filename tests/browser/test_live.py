@@ -163,7 +163,9 @@ def test_a_new_episode_waits_for_one_who_looks_at_the_past(open_page, monkeypatc
         wait_until(page, "player.header.policy === 'newer'")
         assert text_of(page) == "Now newer drives."
         assert "policy newer" in page.inner_text("#subtitle")
-        wait_until(page, f"{NEAR} && player.store.firstStep === 0 && player.store.lastTime > 5")
+        # Early in an episode: another must not begin between the keys.
+        early = "player.store.lastTime > 5 && player.store.lastTime < 15"
+        wait_until(page, f"{NEAR} && player.store.firstStep === 0 && {early}")
         page.keyboard.press(" ")
         page.keyboard.press("Home")
         page.evaluate("player.clock.seek(1)")
@@ -178,6 +180,27 @@ def test_a_new_episode_waits_for_one_who_looks_at_the_past(open_page, monkeypatc
         page.click("#to-live")
         wait_until(page, f"{NEAR} && player.header.seed > {seed}")
         assert page.evaluate("player.store.lastTime") <= 31.0
+
+
+RECEIVE_WHILE_DRAINING = """() => {
+    live.isDraining = true;
+    live.receive('episode', { ...live.episode, name: `${performance.now()}` });
+    live.isDraining = false;
+    return document.getElementById('live-text').textContent;
+}"""
+
+
+def test_an_episode_that_comes_among_rows_is_said_at_once(server, open_page):
+    with open_page(server.address) as page:
+        wait_until(page, NEAR)
+        page.keyboard.press(" ")
+        wait_until(page, "!live.isFollowing")
+        assert text_of(page) == ""
+        assert page.evaluate(RECEIVE_WHILE_DRAINING) == "Another episode has begun."
+        page.click("#to-live")
+        wait_until(page, f"{NEAR} && !live.isPending")
+        # One who follows sees it in a moment.
+        assert page.evaluate(RECEIVE_WHILE_DRAINING) == ""
 
 
 def collect_faults(page):

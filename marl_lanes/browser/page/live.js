@@ -109,6 +109,8 @@ export class Live {
     }
     this.queue.push([kind, data]);
     this.drain();
+    // Where it is draining already, what has come is not said before that ends.
+    this.show();
   }
 
   /** Take from the queue what may be shown now. */
@@ -276,12 +278,13 @@ export class Live {
 
   /** In words, and whether something is wrong. */
   describe() {
-    const { status, connection, notice } = this;
+    const { status, connection, notice, isFollowing } = this;
     if (connection === "lost") return ["Connection lost; trying again.", true];
     if (connection === "connecting") return ["Connecting.", false];
     const words = [notice];
     if (status.waiting) words.push(`${capitalise(status.waiting)}.`);
-    if (this.isPending) words.push("Another episode has begun.");
+    // One who follows sees it in a moment.
+    if (this.isPending && !isFollowing) words.push("Another episode has begun.");
     if (status.trouble) words.push(`${capitalise(status.trouble)}.`);
     return [words.filter(Boolean).join(" "), Boolean(status.trouble)];
   }
