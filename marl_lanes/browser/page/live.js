@@ -99,16 +99,13 @@ export class Live {
   receive(kind, data) {
     if (kind === "status") {
       this.status = data;
-      this.show();
-      return;
-    }
-    if (kind === "episode") {
+    } else {
       // An episode that nobody has looked at gives way to the next.
       const pending = this.queue.findIndex(([one]) => one === "episode");
-      if (pending >= 0) this.queue.length = pending;
+      if (kind === "episode" && pending >= 0) this.queue.length = pending;
+      this.queue.push([kind, data]);
+      this.drain();
     }
-    this.queue.push([kind, data]);
-    this.drain();
     // Where it is draining already, what has come is not said before that ends.
     this.show();
   }
