@@ -118,7 +118,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         self._has_flat_state = check_flag("has_flat_state", has_flat_state)
         self._learned_followers, self._policies = learned_followers, follower_policies
         self._loaded, self._is_seeded = load_scenario(scenario, overrides), seed is not None
-        self._changes: Mapping[str, Any] = {}
+        self._changed = self._loaded
         self._np_random: np.random.Generator | None = None
         self.simulator = self._make_simulator(self._loaded, seed)
         self.scenario = self.simulator.scenario
@@ -159,20 +159,30 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
             follower_policies=policies,
         )
 
-    def _change_traffic(self, changes: Mapping[str, Any]) -> None:
-        """Go on with another simulator, whose random numbers are those of the last one.
+    def _find_traffic(self, changes: Mapping[str, Any]) -> tuple[Simulator, Scenario]:
+        """The simulator of an episode with the changes, and the scenario that it was made from.
+
+        Another one than the last has the random numbers of the last one.
 
         Raises:
             ScenarioError: the changes are not valid, or concern what learners are built for.
         """
-        if changes == self._changes:
-            return
+        # Compared as a whole: the mapping may be the last one with other values in it.
         changed = load_scenario(self._loaded, changes)
+        if changed == self._changed:
+            return self.simulator, changed
         check_spaces(changed, self._loaded, self.simulator.roles)
-        last, self.simulator = self.simulator, self._make_simulator(changed, 0)
+        simulator = self._make_simulator(changed, 0)
         for name in ("random_key", "random_stream", "random_counter"):
-            self.simulator.roads[name] = last.roads[name]
-        self.scenario, self._changes = self.simulator.scenario, dict(changes)
+            simulator.roads[name] = self.simulator.roads[name]
+        return simulator, changed
+
+    def _use_traffic(self, simulator: Simulator, changed: Scenario) -> None:
+        """Go on with what ``_find_traffic`` has found."""
+        if simulator is self.simulator:
+            return
+        self.simulator, self._changed = simulator, changed
+        self.scenario = simulator.scenario
         self._view()
         if self._renderer is not None:
             self._renderer.close()
@@ -252,11 +262,12 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
             ValueError: the seed is out of range, or the options are not valid.
         """
         chosen = read_options(options)
+        simulator, changed = self._find_traffic(chosen.overrides or {})
         if seed is not None:
-            self.simulator.seed(seed)
+            simulator.seed(seed)
             self._np_random = None
         self._is_seeded = True
-        self._change_traffic(chosen.overrides or {})
+        self._use_traffic(simulator, changed)
         if self._renderer is not None:
             self._renderer.open()
         self._num_cycles = 0
