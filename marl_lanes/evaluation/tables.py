@@ -163,7 +163,8 @@ def format_ratings(ratings: Sequence[Mapping[str, Any]]) -> str:
         value = {"value": one["rating"], "low": one["low"], "high": one["high"]}
         rates = [f"{PER_CENT * share:.1f}" for share in shares]
         rows.append([one["player"], one["role"], format_estimate(value, decimals=0), *rates])
-    head = ["player", "role", "rating", "success [%]", "missed [%]", "won by nobody [%]"]
+    lost = "missed or timed out [%]"
+    head = ["player", "role", "rating", "success [%]", lost, "won by nobody [%]"]
     return format_table(head, rows, 1)
 
 
