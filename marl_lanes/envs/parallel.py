@@ -276,6 +276,9 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         self._collect(result)
         if self._renderer is not None:
             self._renderer.show()
+        # In a snapshot a command may have ended in the last step.
+        for name in set(result[4]) - set(self.agents):
+            del result[0][name], result[4][name]
         return result[0], result[4]
 
     def step(self, actions: Mapping[str, Any]) -> Step:

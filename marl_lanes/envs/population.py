@@ -56,7 +56,11 @@ class ConstantPopulation(Closes, BaseParallelWrapper):
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, float]]]:
         """Start an episode, as ``LaneChangeParallelEnv.reset``."""
         seen, infos = self.env.reset(seed=seed, options=options)
-        self._live, self._ended = set(infos), set()
+        self._live = set(self.env.agents)
+        # In a snapshot commands may be over.
+        count = int(self.env.simulator.roads["num_commands"][0])
+        begun = {name for name in self.possible_agents if int(_number_of(name)) < count}
+        self._ended = begun - self._live
         self.agents = list(self.possible_agents)
         return self._observe(seen), self._tell(infos)
 
@@ -102,5 +106,8 @@ class ConstantPopulation(Closes, BaseParallelWrapper):
 
 def _outcome_of(name: str, infos: Mapping[str, Mapping[str, float]]) -> float:
     """Of the changer, or of the one whose follower it is."""
-    _, _, number = name.rpartition("_")
-    return infos[f"{CHANGER.name}_{number}"]["outcome"]
+    return infos[f"{CHANGER.name}_{_number_of(name)}"]["outcome"]
+
+
+def _number_of(name: str) -> str:
+    return name.rpartition("_")[2]

@@ -489,6 +489,15 @@ def test_an_option_begins_in_a_snapshot():
         over.reset(options={"snapshot": over.simulator.snapshot()})
 
 
+def test_a_snapshot_of_the_step_that_ended_a_command_begins_with_the_live_agents():
+    road = parallel_env("dense", seed=0, overrides=BUSY)
+    infos = road.reset(seed=0)[1]
+    while len(road.agents) == len(infos) or not road.agents:
+        *_, infos = road.step({agent: hold(None) for agent in road.agents})
+    observations, infos = road.reset(options={"snapshot": road.simulator.snapshot()})
+    assert set(observations) == set(infos) == set(road.agents)
+
+
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [

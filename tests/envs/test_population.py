@@ -79,6 +79,17 @@ def test_it_is_the_same_road_with_the_absent_ones_masked(overrides, max_cycles, 
     assert bool(current) == is_cut
 
 
+def test_who_has_ended_before_a_snapshot_has_ended():
+    road = parallel_env("dense", population="constant", overrides=FEW, seed=0)
+    before, _ = road.reset(seed=1)
+    while not before["changer_0"][-1]:
+        before, *_ = road.step({name: np.zeros(1) for name in road.agents})
+    again, _ = road.reset(options={"snapshot": road.unwrapped.simulator.snapshot()})
+    assert {name: row.tolist() for name, row in again.items()} == {
+        name: row.tolist() for name, row in before.items()
+    }
+
+
 @pytest.mark.parametrize("normalised", [False, True])
 def test_it_passes_pettingzoos_tests(normalised):
     options = {"population": "constant", "normalised": normalised, "overrides": FEW, "seed": 0}
