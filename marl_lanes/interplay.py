@@ -48,6 +48,7 @@ class ChangerEvaluationConfig(EvaluationConfig):
         "mean_episode_reward",
         "abort_rate",
         "missed_rate",
+        "timed_out_rate",
         "collision_rate",
         "lost_after_rate",
         "collided_after_rate",

@@ -10,6 +10,7 @@ import numpy as np
 
 from marl_lanes import Simulator
 from marl_lanes.envs.vehicle_table import read_vehicle_tables, state_columns
+from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
 
 SMALL = {
     "num_agents": None,
@@ -55,11 +56,18 @@ def assert_table_is_read(rng, simulator):
     assert (length, width) == ("length", "width")
     for number, name in enumerate(numbers):
         simulator.vehicles[name] = number + rng.random(simulator.vehicles.shape)
+    env, slot = np.argwhere(simulator.is_live)[0]
+    agent = simulator.agents[env, slot]
+    simulator.vehicles["agent"][env, agent["vehicle"]] = NONE
+    agent["phase"], agent["outcome"] = Phase.ABSENT, Outcome.TIMED_OUT
+    simulator.roads["num_ended"][env] = 1
     expected = read_vehicle_tables(simulator)
+    assert slot in expected[env, :, -1]
     rows = np.full_like(expected, np.nan)
     state = simulator.state
     profiles = simulator.parameters.profiles
-    read_vehicles[1, 4](state.roads, state.order, state.vehicles, profiles, rows)
+    tables = state.roads, state.order, state.vehicles, state.agents
+    read_vehicles[1, 4](*tables, profiles, rows)
     np.testing.assert_array_equal(rows, expected)
 
 

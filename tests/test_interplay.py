@@ -35,6 +35,10 @@ def driven(monkeypatch):
     return calls
 
 
+def test_a_follower_may_be_chosen_by_either_of_the_ways_in_which_it_wins():
+    assert {"missed_rate", "timed_out_rate"} <= set(interplay.ChangerEvaluationConfig.metrics)
+
+
 def changer():
     return make_network(PAPER, "damped", [8])
 

@@ -175,7 +175,7 @@ def _record(options: argparse.Namespace) -> None:
             is_whole = options.maneuver is None and options.start is None and last_time is None
             written += _write_data(path, suffix, tracks, None if is_whole else part)
         else:
-            _show(path, tracks, part, views[path], options.at)
+            _show(path, tracks, part, views[path], options.at, followed)
             written.append(path)
     say("\n".join(map(str, written)))
 
@@ -272,18 +272,42 @@ def _choose_part(
     return _Part(excerpt.start, excerpt.end, excerpt)
 
 
-def _show(
-    path: Path, tracks: Sequence[Track], part: _Part, view: ViewOptions, at: float | None
-) -> None:
-    """Write a film or a still."""
+def _choose_time(tracks: Sequence[Track], part: _Part) -> float:
+    """When the maneuver's vehicle crosses the marking, or the middle of what is shown [s]."""
     from marl_lanes.rendering.excerpt import find_crossing
+
+    if part.excerpt is None:
+        return 0.5 * (part.start + part.end)
+    return find_crossing(tracks[0].rows, part.excerpt)
+
+
+def _find_vehicle(track: Track, command: int, time: float) -> int | None:
+    """Vehicle of a command that was given before the time; of a later one, what is drawn tells."""
+    rows = track.rows[track.rows["command"] == command]
+    rows = rows[rows["time"] < time]
+    return int(rows["vehicle"][0]) if rows.size else None
+
+
+def _show(
+    path: Path,
+    tracks: Sequence[Track],
+    part: _Part,
+    view: ViewOptions,
+    at: float | None,
+    followed: int | None,
+) -> None:
+    """Write a film or a still; ``followed`` is the command whose vehicle is to be followed."""
     from marl_lanes.rendering.film import cut, write_film, write_still
 
-    excerpt = part.excerpt
+    excerpt, time = part.excerpt, None
+    if path.suffix.lower() == STILL:
+        time = _choose_time(tracks, part) if at is None else at
     vehicles: Sequence[int | None] = [None] * len(tracks)
-    if excerpt is not None and view.follow is None:
+    if followed is not None:
+        first = part.start if time is None else time
+        vehicles = [_find_vehicle(track, followed, first) for track in tracks]
+    elif excerpt is not None and view.follow is None:
         vehicles = excerpt.vehicles
-    is_still = path.suffix.lower() == STILL
     clips = [
         cut(
             track.label,
@@ -294,11 +318,8 @@ def _show(
         )
         for track, vehicle in zip(tracks, vehicles, strict=True)
     ]
-    if is_still:
-        if at is None:
-            middle = 0.5 * (part.start + part.end)
-            at = middle if excerpt is None else find_crossing(tracks[0].rows, excerpt)
-        write_still(path, clips, at, view)
+    if time is not None:
+        write_still(path, clips, time, view)
         return
     with Progress(f"filming {path.name}", 100) as show:
         write_film(path, clips, view, progress=lambda count, total: show(100 * count // total))

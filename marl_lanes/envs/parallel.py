@@ -35,7 +35,6 @@ _TRUNCATING = {int(outcome) for outcome in Outcome if truncates(outcome)}
 _ABSENT = int(Phase.ABSENT)
 _UNFINISHED = int(Outcome.UNFINISHED)
 
-
 MAX_SKIPPED = 1000
 """Episodes without a command that a reset skips before it gives up."""
 
@@ -117,11 +116,10 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         self._max_cycles, self._num_cycles = max_cycles, 0
         self._has_flat_state = check_flag("has_flat_state", has_flat_state)
         self._learned_followers, self._policies = learned_followers, follower_policies
-        self._loaded, self._is_seeded = load_scenario(scenario, overrides), seed is not None
-        self._changes: Mapping[str, Any] = {}
+        self._is_seeded = seed is not None
         self._np_random: np.random.Generator | None = None
-        self.simulator = self._make_simulator(self._loaded, seed)
-        self.scenario = self.simulator.scenario
+        self.simulator = self._make_simulator(load_scenario(scenario, overrides), seed)
+        self.scenario = self._made = self.simulator.scenario
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": 1.0 / self.scenario.time_step}
         self._chosen_view = view
@@ -159,20 +157,19 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
             follower_policies=policies,
         )
 
-    def _change_traffic(self, changes: Mapping[str, Any]) -> None:
-        """Go on with another simulator, whose random numbers are those of the last one.
-
-        Raises:
-            ScenarioError: the changes are not valid, or concern what learners are built for.
-        """
-        if changes == self._changes:
-            return
-        changed = load_scenario(self._loaded, changes)
-        check_spaces(changed, self._loaded, self.simulator.roles)
-        last, self.simulator = self.simulator, self._make_simulator(changed, 0)
+    def _find_traffic(self, changes: Mapping[str, Any]) -> Simulator:
+        """The last simulator, or another for the changes, with the random numbers of the last."""
+        changed = load_scenario(self._made, changes)
+        if changed == self.scenario:
+            return self.simulator
+        check_spaces(changed, self._made, self.simulator.roles)
+        simulator = self._make_simulator(changed, 0)
         for name in ("random_key", "random_stream", "random_counter"):
-            self.simulator.roads[name] = last.roads[name]
-        self.scenario, self._changes = self.simulator.scenario, dict(changes)
+            simulator.roads[name] = self.simulator.roads[name]
+        return simulator
+
+    def _use_traffic(self, simulator: Simulator) -> None:
+        self.simulator, self.scenario = simulator, simulator.scenario
         self._view()
         if self._renderer is not None:
             self._renderer.close()
@@ -252,19 +249,23 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
             ValueError: the seed is out of range, or the options are not valid.
         """
         chosen = read_options(options)
+        simulator = self._find_traffic(chosen.overrides or {})
         if seed is not None:
-            self.simulator.seed(seed)
+            simulator.seed(seed)
             self._np_random = None
-        self._is_seeded = True
-        self._change_traffic(chosen.overrides or {})
+        self._is_seeded, self._num_cycles = True, 0
+        if simulator is not self.simulator:
+            self._use_traffic(simulator)
         if self._renderer is not None:
             self._renderer.open()
-        self._num_cycles = 0
         self._begin(chosen.snapshot)
         result: Step = ({}, {}, {}, {}, {})
         self._collect(result)
         if self._renderer is not None:
             self._renderer.show()
+        for name in set(result[4]) - set(self.agents):
+            # Its command ended in the last step before the snapshot.
+            del result[0][name], result[4][name]
         return result[0], result[4]
 
     def step(self, actions: Mapping[str, Any]) -> Step:

@@ -12,6 +12,11 @@ from pettingzoo.utils import BaseParallelWrapper
 from marl_lanes.envs.actions import check_actions
 from marl_lanes.envs.closing import Closes
 from marl_lanes.envs.infos import Step, info_names
+from marl_lanes.traffic.machine.state import Outcome
+from marl_lanes.traffic.roles.changer import CHANGER
+
+_CUT = {float(Outcome.UNFINISHED), float(Outcome.HORIZON)}
+"""Outcomes of a changer whose episode ends, and not its command."""
 
 
 class ConstantPopulation(Closes, BaseParallelWrapper):
@@ -20,10 +25,11 @@ class ConstantPopulation(Closes, BaseParallelWrapper):
     ``agents`` lists every possible agent until the episode's end, and so does every dict. An
     observation has three more columns at its end, of which one is 1 and the others 0: ``is_unborn``
     (no command yet), ``is_live``, ``has_ended``. The rest of an agent that is not live is zeros;
-    its action is ignored. It is neither terminated nor
-    truncated before the episode's end: then all agents are, truncated if the horizon or
-    ``max_cycles`` was the end. So a row is a valid transition if its observation was live. Infos
-    have ``is_live``, too; the step in which an agent ends has its reward and its info.
+    its action is ignored. It is neither terminated nor truncated before the episode's end: then
+    all agents are, truncated if the horizon or ``max_cycles`` was the end; whoever was live until
+    then still is in the last observation, from which learners bootstrap. So a row is a valid
+    transition if its observation was live. Infos have ``is_live``, too; the step in which an agent
+    ends has its reward and its info.
 
     Args:
         env: a ``LaneChangeParallelEnv``, or a wrapper of it.
@@ -38,6 +44,7 @@ class ConstantPopulation(Closes, BaseParallelWrapper):
             low, high = np.append(space.low, [0] * 3), np.append(space.high, [1] * 3)
             self.observation_spaces[agent] = Box(np.float32(low), np.float32(high))
         self._absent = {name: dict.fromkeys(info_names(name), 0.0) for name in env.possible_agents}
+        self._live: set[str] = set()
         self._ended: set[str] = set()
 
     def observation_space(self, agent: str) -> Box:
@@ -49,7 +56,11 @@ class ConstantPopulation(Closes, BaseParallelWrapper):
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, float]]]:
         """Start an episode, as ``LaneChangeParallelEnv.reset``."""
         seen, infos = self.env.reset(seed=seed, options=options)
-        self._ended.clear()
+        self._live = set(self.env.agents)
+        # In a snapshot commands may be over.
+        count = int(self.env.simulator.roads["num_commands"][0])
+        begun = {name for name in self.possible_agents if int(_number_of(name)) < count}
+        self._ended = begun - self._live
         self.agents = list(self.possible_agents)
         return self._observe(seen), self._tell(infos)
 
@@ -60,9 +71,12 @@ class ConstantPopulation(Closes, BaseParallelWrapper):
         check_actions(actions)
         live = {agent: actions[agent] for agent in self.env.agents if agent in actions}
         seen, rewards, terminations, truncations, infos = self.env.step(live)
-        self._ended |= {name for name in infos if terminations[name] or truncations[name]}
         names = self.agents
         is_over, is_cut = not self.env.agents, self.env.is_cut
+        over = {name for name in infos if terminations[name] or truncations[name]}
+        cut = {name for name in over if is_cut and _outcome_of(name, infos) in _CUT}
+        self._live = set(self.env.agents) | cut
+        self._ended |= over - cut
         self.agents = [] if is_over else list(names)
         return (
             self._observe(seen),
@@ -74,10 +88,9 @@ class ConstantPopulation(Closes, BaseParallelWrapper):
 
     def _observe(self, seen: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
         observations = {}
-        live = set(self.env.agents)
         for name in self.possible_agents:
             row = np.zeros(self.observation_spaces[name].shape, np.float32)
-            is_live, has_ended = name in live, name in self._ended
+            is_live, has_ended = name in self._live, name in self._ended
             if is_live:
                 row[:-3] = seen[name]
             row[-3:] = not (is_live or has_ended), is_live, has_ended
@@ -85,8 +98,16 @@ class ConstantPopulation(Closes, BaseParallelWrapper):
         return observations
 
     def _tell(self, infos: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-        live = set(self.env.agents)
         return {
-            name: {**infos.get(name, absent), "is_live": float(name in live)}
+            name: {**infos.get(name, absent), "is_live": float(name in self._live)}
             for name, absent in self._absent.items()
         }
+
+
+def _outcome_of(name: str, infos: Mapping[str, Mapping[str, float]]) -> float:
+    """Of the changer, or of the one whose follower it is."""
+    return infos[f"{CHANGER.name}_{_number_of(name)}"]["outcome"]
+
+
+def _number_of(name: str) -> str:
+    return name.rpartition("_")[2]

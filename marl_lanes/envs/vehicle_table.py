@@ -27,7 +27,8 @@ def state_columns(scenario: Scenario) -> tuple[str, ...]:
     """Columns of the table: fields of VEHICLE, then ``length`` and ``width`` if there are several.
 
     The last one, ``agent``, says which agent the vehicle is, -1 if it is none: by the serial number
-    of its command in PettingZoo's, by its slot in TorchRL's.
+    of its command in PettingZoo's, by its slot in TorchRL's. An agent whose command ended in the
+    last step is told, too, as its last observation is.
     """
     bodies = {scenario.body_of(name) for name in scenario.drivers.driven}
     shown = [name for name in _BOUNDS if name not in _SIZE or len(bodies) > 1]
@@ -45,6 +46,14 @@ def _read_column(simulator: Simulator, cars: NDArray[np.void], name: str) -> NDA
         half = simulator.parameters.profiles[f"half_{name}"]
         return np.asarray(2.0 * half[cars["profile"]])
     return np.asarray(cars[name])
+
+
+def _find_slots(simulator: Simulator) -> NDArray[np.int64]:
+    """The slot of each vehicle's agent, or NONE, (E, V)."""
+    slots = simulator.vehicles["agent"].copy()
+    envs, ended = np.nonzero(simulator.has_ended)
+    slots[envs, simulator.agents["vehicle"][envs, ended]] = ended
+    return slots
 
 
 def state_bounds(scenario: Scenario, num_agents: int) -> Bounds:
@@ -72,12 +81,13 @@ def read_vehicle_table(simulator: Simulator) -> NDArray[np.float32]:
     columns = state_columns(simulator.scenario)
     rows = np.zeros((simulator.scenario.max_vehicles, len(columns)), np.float32)
     count = int(simulator.roads["num_vehicles"][0])
-    cars = simulator.vehicles[0, simulator.state.order[0, :count]]
+    order = simulator.state.order[0, :count]
+    cars, slots = simulator.vehicles[0, order], _find_slots(simulator)[0, order]
     for column, name in enumerate(columns[:-1]):
         rows[:count, column] = _read_column(simulator, cars, name)
     rows[:, :-1].clip(*_number_bounds(simulator.scenario), out=rows[:, :-1])
-    commands = simulator.agents["command"][0, cars["agent"]]
-    rows[:count, -1] = np.where(cars["agent"] == NONE, NONE, commands)
+    commands = simulator.agents["command"][0, slots]
+    rows[:count, -1] = np.where(slots == NONE, NONE, commands)
     rows[count:, -1] = NONE
     return rows
 
@@ -93,9 +103,9 @@ def read_vehicle_tables(simulator: Simulator) -> NDArray[np.float32]:
     slots = np.where(is_there, order, 0)
     columns = state_columns(simulator.scenario)
     rows = np.empty((*order.shape, len(columns)), np.float32)
-    for column, name in enumerate(columns):
-        values = _read_column(simulator, simulator.vehicles, name)
-        rows[..., column] = np.take_along_axis(values, slots, axis=1)
+    values = [_read_column(simulator, simulator.vehicles, name) for name in columns[:-1]]
+    for column, value in enumerate([*values, _find_slots(simulator)]):
+        rows[..., column] = np.take_along_axis(value, slots, axis=1)
     rows[..., :-1].clip(*_number_bounds(simulator.scenario), out=rows[..., :-1])
     rows[~is_there] = [0.0] * (len(columns) - 1) + [NONE]
     return rows

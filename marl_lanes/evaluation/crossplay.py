@@ -23,6 +23,7 @@ RATES = (
     "missed_rate",
     "abort_or_miss_rate",
     "timed_out_rate",
+    "horizon_rate",
     "collision_rate",
     "off_road_rate",
     "s_critical_violation_rate",

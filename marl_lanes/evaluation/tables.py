@@ -20,6 +20,7 @@ CROSSPLAY_ROWS = (
     ("missed_rate", "missed [%]", 100.0, 1),
     ("abort_or_miss_rate", "aborted or missed [%]", 100.0, 1),
     ("timed_out_rate", "timed out [%]", 100.0, 1),
+    ("horizon_rate", "cut off [%]", 100.0, 1),
     ("collision_rate", "collided [%]", 100.0, 1),
     ("off_road_rate", "off the road [%]", 100.0, 1),
     ("mean_time_to_completion", "time to complete [s]", 1.0, 2),
@@ -163,7 +164,8 @@ def format_ratings(ratings: Sequence[Mapping[str, Any]]) -> str:
         value = {"value": one["rating"], "low": one["low"], "high": one["high"]}
         rates = [f"{PER_CENT * share:.1f}" for share in shares]
         rows.append([one["player"], one["role"], format_estimate(value, decimals=0), *rates])
-    head = ["player", "role", "rating", "success [%]", "missed [%]", "won by nobody [%]"]
+    lost = "missed or timed out [%]"
+    head = ["player", "role", "rating", "success [%]", lost, "won by nobody [%]"]
     return format_table(head, rows, 1)
 
 

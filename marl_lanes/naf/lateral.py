@@ -294,7 +294,8 @@ class GatedCascadeMu(CascadeMu):
     """
 
     BEGINS_AT, ALL_BEGUN_AT = 3.6, 3.3
-    """[m] Deviations. In narrower lanes than that it is the cascade."""
+    """[m] Deviations. In narrower lanes than that it is the cascade. In lanes wider than 5.4 m
+    (4.6 m for trucks) a body is over the marking before, and may be held there."""
     initial_share = 0.98
     others: Tensor
     sharpness = 5.0

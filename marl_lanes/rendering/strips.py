@@ -105,26 +105,37 @@ class Strips:
 
     def _draw_vehicles(self, surface: "pygame.Surface", frame: Frame, focus: Focus) -> None:
         rows = frame.rows
-        places = self.place(rows)
-        x, y = places[0].tolist(), places[1].tolist()
         ratio = self._across / self._along
-        yaw = np.arctan2(np.sin(rows["yaw"]) * ratio, np.cos(rows["yaw"])).tolist()
-        pictures: list[Sprite] = []
-        above: list[Sprite] = []
-        columns = (are_commanded(rows), are_lost(rows), rows["profile"])
-        for number, (is_red, is_gone, profile) in enumerate(
+        yaw = np.arctan2(np.sin(rows["yaw"]) * ratio, np.cos(rows["yaw"]))
+        # One that is over the end of a strip is in two: its front is in the next one.
+        rear, front = (
+            self._find_strips(rows["position"] + side * rows["length"]) for side in (-0.5, 0.5)
+        )
+        columns = (
+            *(rows["position"], rows["lateral_position"], yaw),
+            *(are_commanded(rows), are_lost(rows), rows["profile"], rear, front),
+        )
+        layers: list[tuple[list[Sprite], list[Sprite]]] = [([], []) for _ in self._strips]
+        for number, (position, lateral, angle, is_red, is_gone, profile, first, last) in enumerate(
             zip(*(column.tolist() for column in columns), strict=True)
         ):
             look = Look(is_changer=is_red, is_lost=is_gone)
             is_large = is_red or is_gone or number == focus.row
-            sprites = self._large if is_large else self._sprites
-            found = sprites[profile].find(look, x[number], y[number], yaw[number])
-            (above if is_large else pictures).append(found)
-        surface.fblits(pictures, pygame.BLEND_PREMULTIPLIED)
-        surface.fblits(above, pygame.BLEND_PREMULTIPLIED)
+            sprites = (self._large if is_large else self._sprites)[profile]
+            for index in range(first, last + 1):
+                strip = self._strips[index]
+                x = strip.rect.left + (position - strip.start) * self._along
+                y = strip.rect.bottom - lateral * self._across
+                layers[index][is_large].append(sprites.find(look, x, y, angle))
+        for strip, pictures in zip(self._strips, layers, strict=True):
+            surface.set_clip((strip.rect.left, 0, strip.rect.width, surface.get_height()))
+            for layer in pictures:
+                surface.fblits(layer, pygame.BLEND_PREMULTIPLIED)
+        surface.set_clip(None)
         if focus.row is not None:
             strip = self._strips[int(self._find_strips(rows["position"][focus.row]))]
-            self._point_at(surface, x[focus.row], strip.rect.bottom)
+            x = self.place(rows)[0][focus.row]
+            self._point_at(surface, x, strip.rect.bottom)
 
     def _point_at(self, surface: "pygame.Surface", x: float, bottom: int) -> None:
         """A triangle below the strip, at the followed vehicle."""

@@ -295,7 +295,7 @@ class GpuRoads:
         """What fills (E, V, columns) float32 as ``read_vehicle_tables`` does."""
         tables = self.tables
         _, profiles, *_ = self._constants
-        given = (tables.roads, tables.order, tables.vehicles, profiles, rows)
+        given = (tables.roads, tables.order, tables.vehicles, tables.agents, profiles, rows)
         return self._make_repeated(kernels.read_vehicles, tables.order.size, given)
 
     def _make_repeated(

@@ -6,9 +6,11 @@ from typing import Any
 from numba import cuda
 
 from marl_lanes.traffic.command.phases import is_acting
-from marl_lanes.traffic.machine.state import NONE
+from marl_lanes.traffic.machine.state import NONE, Outcome
 from marl_lanes.traffic.readout import read_changer, read_follower
 from marl_lanes.traffic.step import run
+
+_UNFINISHED = int(Outcome.UNFINISHED)
 
 REFUSED, IS_FULL = 0, 1
 """What ``alarms`` holds: the number of a refused action, 1 for the first one of the changers and -1
@@ -236,7 +238,9 @@ def read_followers(
 
 
 @cuda.jit
-def read_vehicles(roads: Any, order: Any, vehicles: Any, profiles: Any, rows: Any) -> None:
+def read_vehicles(
+    roads: Any, order: Any, vehicles: Any, agents: Any, profiles: Any, rows: Any
+) -> None:
     """Every vehicle by decreasing position, (E, V, 7) float32 or, with length and width, 9.
 
     The columns are those of ``state_columns``.
@@ -250,7 +254,8 @@ def read_vehicles(roads: Any, order: Any, vehicles: Any, profiles: Any, rows: An
                 row[column] = 0.0
             row[rows.shape[2] - 1] = NONE
             continue
-        car = vehicles[env, order[env, rank]]
+        place = order[env, rank]
+        car = vehicles[env, place]
         row[0] = car.position
         row[1] = car.lateral_position
         row[2] = car.speed
@@ -260,4 +265,10 @@ def read_vehicles(roads: Any, order: Any, vehicles: Any, profiles: Any, rows: An
         if rows.shape[2] > 7:
             row[6] = 2.0 * profiles[car.profile].half_length
             row[7] = 2.0 * profiles[car.profile].half_width
-        row[rows.shape[2] - 1] = car.agent
+        slot = car.agent
+        if roads[env].num_ended > 0:
+            for other in range(agents.shape[1]):
+                agent = agents[env, other]
+                if agent.outcome != _UNFINISHED and agent.vehicle == place:
+                    slot = other
+        row[rows.shape[2] - 1] = slot

@@ -70,7 +70,7 @@ def collect_demonstrations(
     wanted = config.num_transitions
     dimensions = CHANGER.act(scenario)
     low, high = (np.array([getattr(one, side) for one in dimensions]) for side in ("low", "high"))
-    row = 4.0 * (len(scenario.observation.features) + low.size)
+    row = 4.0 * (len(CHANGER.seen(scenario)) + low.size)
     check_memory("demonstrations.num_transitions", wanted, 2.0 * row * wanted)
     simulator = Simulator(
         scenario, NUM_ROADS, seed=seed, follower_policies=find_policies(scenario, None)

@@ -126,6 +126,19 @@ def test_a_faster_film_of_another_size(tmp_path):
     assert read_pictures(out).shape == (16, 360, 640, 3)
 
 
+def test_a_named_changer_is_followed_after_its_command(folder, tmp_path):
+    rows = read_trajectory(folder / "all.parquet").rows
+    first = min(find_commands(rows), key=lambda one: one.last_step)
+    time = f"{0.1 * first.last_step + 2.5:.1f}"
+    pictures = set()
+    for number, whom in enumerate((f"changer_{first.command}", str(first.vehicle))):
+        out = tmp_path / f"{number}.png"
+        options = ["--at", time, "--size", "320x180", "--follow", whom, "--out", str(out)]
+        assert main(["record", "all.parquet", *options]) == 0
+        pictures.add(out.read_bytes())
+    assert len(pictures) == 1
+
+
 @pytest.mark.usefixtures("folder")
 def test_a_still_at_a_time(tmp_path):
     every = [tmp_path / f"{time}.png" for time in ("3", "9")]

@@ -465,6 +465,18 @@ def test_an_option_changes_the_traffic_of_one_episode():
     assert usual != transcript(parallel_env(seed=4))
 
 
+def test_an_options_mapping_may_be_used_again_with_other_values():
+    road = parallel_env(seed=4)
+    changes = {"departures": {"interval": np.array([1.5, 2.0])}}
+    road.reset(options={"overrides": changes})
+    simulator = road.simulator
+    road.reset(options={"overrides": {"departures": {"interval": np.array([1.5, 2.0])}}})
+    assert road.simulator is simulator
+    changes["departures"]["interval"] = [8.0, 9.0]
+    road.reset(options={"overrides": changes})
+    assert road.scenario.departures.interval == (8.0, 9.0)
+
+
 def test_an_option_begins_in_a_snapshot():
     road = parallel_env("dense", seed=0)
     until_engaged(road)
@@ -475,6 +487,15 @@ def test_an_option_begins_in_a_snapshot():
     play(over)
     with pytest.raises(ValueError, match=r"^options\['snapshot'\]: an agent must become live"):
         over.reset(options={"snapshot": over.simulator.snapshot()})
+
+
+def test_a_snapshot_of_the_step_that_ended_a_command_begins_with_the_live_agents():
+    road = parallel_env("dense", seed=0, overrides=BUSY)
+    infos = road.reset(seed=0)[1]
+    while len(road.agents) == len(infos) or not road.agents:
+        *_, infos = road.step({agent: hold(None) for agent in road.agents})
+    observations, infos = road.reset(options={"snapshot": road.simulator.snapshot()})
+    assert set(observations) == set(infos) == set(road.agents)
 
 
 @pytest.mark.parametrize(
@@ -490,7 +511,7 @@ def test_an_option_begins_in_a_snapshot():
 def test_overrides_of_a_reset_that_cannot_be(changes, problem):
     road, twin = parallel_env(seed=0), parallel_env(seed=0)
     with pytest.raises(ScenarioError, match=problem):
-        road.reset(options={"overrides": changes})
+        road.reset(seed=1, options={"overrides": changes})
     assert transcript(road) == transcript(twin)
 
 

@@ -3,11 +3,12 @@
 from functools import partial
 
 import numpy as np
+import torch
 from staging import TRUCK
 
 from marl_lanes import LaneChangeEnv, parallel_env
 from marl_lanes.envs.vehicle_table import read_vehicle_table, state_columns
-from marl_lanes.traffic.machine.state import NONE
+from marl_lanes.traffic.machine.state import NONE, Outcome
 
 
 def test_state_shows_every_vehicle_by_decreasing_position():
@@ -63,6 +64,30 @@ def test_every_road_of_the_batched_environment_has_its_state():
             for one, now in zip(alone, steps, strict=True)
         ]
     assert seen >= {NONE, 0, 1}
+
+
+def test_an_agent_is_in_the_state_of_the_step_in_which_its_time_is_over():
+    """A critic bootstraps from it, and must know which vehicle it is."""
+    overrides = {"command": {"probability": 1.0, "time_limit": 3.0}, "num_agents": 12}
+    road = parallel_env("dense", seed=0, overrides=overrides)
+    _, infos = road.reset(seed=0)
+    seen = set()
+    while road.agents:
+        told = {name for name, info in infos.items() if info["outcome"] == Outcome.TIMED_OUT}
+        serials = road.state()[:, -1]
+        shown = {f"changer_{int(serial)}" for serial in serials[serials != NONE]}
+        # Not where the road went on without an agent: then the state is of a later step.
+        assert set(road.agents) <= shown <= told | set(road.agents)
+        seen |= shown & told
+        *_, infos = road.step({agent: np.zeros(1) for agent in road.agents})
+    assert seen
+    env = LaneChangeEnv("dense", 4, seed=0, overrides=overrides, has_state=True)
+    after = env.rollout(100, break_when_any_done=False)["next"]
+    outcome, slots = after["changers", "outcome"], after["state"][..., -1]
+    is_shown = (slots.unsqueeze(-1) == torch.arange(env.simulator.num_slots)).any(-2)
+    is_timed_out = outcome == Outcome.TIMED_OUT
+    assert is_timed_out.sum() > 5
+    assert torch.equal(is_shown, after["changers", "mask"] | is_timed_out)
 
 
 def test_with_vehicles_of_several_sizes_the_state_shows_each_size():

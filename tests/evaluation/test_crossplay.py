@@ -107,6 +107,17 @@ def test_one_abort_or_one_miss_counts_once(table):
     assert keeping["abort_rate"]["value"] + keeping["missed_rate"]["value"] > 1.5
 
 
+def test_the_shares_of_what_ended_the_commands_add_up_whatever_ends_them():
+    limits = {"num_agents": 10, "horizon": 15.0, "command": {"time_limit": 5.0}}
+    scenario = load_scenario(BUSY, limits)
+    found = estimate(run_maneuvers(scenario, changing, 20, seed=2), scenario)
+    ends = ("completion", "missed", "timed_out", "horizon", "collision", "off_road")
+    shares = [found[f"{name}_rate"]["value"] for name in ends]
+    assert sum(shares) == pytest.approx(1.0)
+    assert shares[2] > 0.0
+    assert shares[3] > 0.0
+
+
 @pytest.mark.slow
 def test_all_pairs_meet_the_same_traffic():
     """Until they act differently, so the first command of a road is in the same step."""

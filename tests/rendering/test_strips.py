@@ -93,6 +93,21 @@ def test_a_picture_without_strips_has_none():
     assert not pygame.surfarray.array3d(surface).any()
 
 
+def test_a_truck_at_the_end_of_a_strip_is_in_both():
+    strip, following = make_layout(STRAIGHT, ViewOptions()).strips[:2]
+    _, _, picture = paint({"position": strip.end + 3.0, "lane": 1, "profile": 3})
+    rows, columns = is_colour(picture, VEHICLE, 60).nonzero()
+    scale = strip.rect.width / (strip.end - strip.start)
+    shown = {"first": (strip, 8.25 - 3.0), "second": (following, 8.25 + 3.0)}
+    widths = {}
+    for name, (one, _) in shown.items():
+        own = columns[(rows >= one.rect.top) & (rows < one.rect.bottom)]
+        assert one.rect.left <= own.min() <= own.max() < one.rect.right
+        widths[name] = np.ptp(own) + 1
+    wanted = {name: scale * metres for name, (_, metres) in shown.items()}
+    assert widths == pytest.approx(wanted, abs=2.5)
+
+
 def test_trucks_are_longer_in_the_strips():
     _, _, picture = paint(
         {"position": 100.0, "lane": 0}, {"position": 300.0, "lane": 0, "profile": 3}

@@ -1,5 +1,7 @@
 """Demonstrations of an expert, and what imitates them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -42,6 +44,14 @@ def test_the_actions_are_those_of_the_expert_without_noise(shown):
     assert actions.numpy() == pytest.approx(expert(observations.numpy()), abs=1e-6)
     assert effective.shape == (400, 1)
     assert effective.all()
+
+
+def test_their_memory_is_that_of_all_that_is_seen(monkeypatch):
+    monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=10**6))
+    stacked = load_scenario("paper", {"observation": {"num_stacked": 64}})
+    problem = r"^demonstrations\.num_transitions = 1000: needs about .* must be at most 324 here$"
+    with pytest.raises(ValueError, match=problem):
+        collect_demonstrations(stacked, expert, settings(num_transitions=1000), 5)
 
 
 def test_the_same_seed_has_the_same_demonstrations(shown):
