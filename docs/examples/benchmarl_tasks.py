@@ -21,7 +21,7 @@ ALGORITHMS = {
 }
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=list(ALGORITHMS))
-parser.add_argument("--iterations", type=int, default=20, help="of 2048 steps of a road")
+parser.add_argument("--iterations", type=int, default=25, help="of 2048 steps of a road")
 add_options(parser)
 arguments = parser.parse_args()
 
@@ -31,7 +31,7 @@ NUM_SLOTS, NUM_STEPS = 4, 2048
 def configure(folder):
     """BenchMARL's settings with which a minute is enough to see something."""
     config = ExperimentConfig.get_from_yaml()
-    config.max_n_iters = arguments.iterations
+    config.max_n_iters, config.max_n_frames = arguments.iterations, None
     config.gamma, config.lr = 0.97, 1e-3
     config.on_policy_collected_frames_per_batch = NUM_STEPS
     config.off_policy_collected_frames_per_batch = NUM_STEPS
@@ -68,12 +68,15 @@ def policy_of(experiment):
     return act
 
 
-endless = {**TRAFFIC, "num_agents": None, "horizon": 60.0, "num_slots": NUM_SLOTS}
+endless = {**TRAFFIC, "num_agents": None, "horizon": None, "num_slots": NUM_SLOTS}
 for name in arguments.algorithms:
     algorithm = ALGORITHMS[name].get_from_yaml()
     if hasattr(algorithm, "scale_mapping"):
-        # A standard deviation of 1 would cover the whole range of actions.
-        algorithm.scale_mapping = "biased_softplus_0.2"
+        # A standard deviation of 1 would cover the whole range of actions. Without the second
+        # number, the least, it shrinks to 0.02, and every update throws the policy about.
+        algorithm.scale_mapping = "biased_softplus_0.2_0.1"
+    if hasattr(algorithm, "lmbda"):
+        algorithm.lmbda = 0.95
     with tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
             task=LaneChangeTask({"scenario": SCENARIO, "overrides": endless}),
