@@ -12,7 +12,7 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from marl_lanes.integrations.rllib import LaneChangeMultiAgentEnv
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--iterations", type=int, default=32, help="of 2048 steps")
+parser.add_argument("--iterations", type=int, default=24, help="of 2048 steps of a road")
 add_options(parser)
 arguments = parser.parse_args()
 
