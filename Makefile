@@ -11,6 +11,8 @@
 # make docs - the documentation as a site, in site/, which needs no server and no network (.venv-docs)
 # make figures - draw the figures of docs/ anew, in a few minutes
 # make reproduction - train with the values of the paper, all seeds, and write docs/reproduction.md; hours, goes on when interrupted
+# make neighbours - the examples of other people's learners, each in a virtual environment of its own with pinned versions;
+#                   make neighbour-rllib_ppo is one of them
 # make benchmark - compare speed: one environment with other simulators, batches with a bare kernel, an update with bare PyTorch,
 #                  pictures with highway-env's
 # Each sets up .venv when it is missing or out of date.
@@ -31,7 +33,8 @@ INTERPRETED := -m "not (training or slow or long)" tests/traffic/test_golden.py 
 # What stands before the tests of `check` and `test`, side by side.
 MAKEFLAGS += --jobs=2
 
-.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels zoo docs figures reproduction benchmark clean
+.PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels zoo docs figures reproduction \
+	neighbours benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -122,6 +125,17 @@ reproduction: $(VENV)/installed
 #     docs/figures/reproduction_maneuver_paper.svg docs/figures/reproduction_maneuver_paper.png
 	$(BIN)/python agents/naf/reproduce.py --processes 2 --figures docs/figures --docs docs/reproduction.md
 
+NEIGHBOURS := $(filter-out package,$(basename $(notdir $(wildcard docs/examples/environments/*.txt))))
+
+neighbours: $(NEIGHBOURS:%=neighbour-%)
+
+# Their versions clash with those of the package's trainings, which the examples do without.
+neighbour-%: docs/examples/environments/%.txt
+	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
+	.venv-$*/bin/python -m pip install --quiet --requirement $<
+	.venv-$*/bin/python -m pip install --quiet --no-deps --editable .
+	EXAMPLE=$* .venv-$*/bin/python -m pytest tests/integrations tests/test_examples.py
+
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'
 	$(BIN)/python benchmarks/single_env.py $(ARGS)
@@ -137,4 +151,4 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv-lowest .venv-newest .venv-docs build dist site .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf .venv-* build dist site .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

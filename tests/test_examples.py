@@ -1,6 +1,7 @@
 """The programs of docs/examples, in a quick form, where what they need is installed."""
 
 import importlib.util
+import os
 import re
 import runpy
 import sys
@@ -27,6 +28,14 @@ def test_every_example_is_here():
     assert names == set(NEEDS)
 
 
+def test_every_example_that_needs_another_library_has_an_environment():
+    names = {path.stem for path in (EXAMPLES / "environments").glob("*.txt")} - {"package"}
+    assert names == set(NEEDS) - {"plain_torchrl", "single_file"}
+    workflow = (EXAMPLES.parents[1] / ".github" / "workflows" / "tests.yml").read_text("utf-8")
+    (row,) = re.findall(r"example: \[(.*)\]", workflow)
+    assert set(row.split(", ")) == names
+
+
 def told_as(point):
     """A point of the file as the line of text has it."""
     return f"return {float(point[1]):.2f}, completed {float(point[2]):.2f}"
@@ -42,7 +51,8 @@ def told_as(point):
 @pytest.mark.parametrize("name", NEEDS)
 def test_an_example_trains_and_measures(name, tmp_path, monkeypatch, capsys):
     package, options = NEEDS[name]
-    if importlib.util.find_spec(package) is None:
+    # In the environment of an example its test must not be left out.
+    if importlib.util.find_spec(package) is None and name != os.environ.get("EXAMPLE"):
         pytest.skip(f"{package} is not installed")
     curve = tmp_path / "curve.csv"
     common = ["--episodes", "1", "--curve", str(curve)]

@@ -463,7 +463,7 @@ observation:
 def test_interactive_is_learned(tmp_path):
     """Two actions; the best saved model, of which the report is, and the run goes on from it."""
     (tmp_path / "two.yaml").write_text(BUSY + INTERACTIVE, encoding="utf-8")
-    options = ("scenario=two.yaml", "evaluation.criterion=success_rate", "output=run")
+    options = ("scenario=two.yaml", "evaluation.criterion=success_rate", UNRECORDED, "output=run")
     code, out, err = run_program(*TINY, *options, folder=tmp_path)
     assert code == 0, err[-3000:]
     assert {path.name for path in tmp_path.iterdir()} == {"two.yaml", "run"}
