@@ -2,9 +2,10 @@
 
 import argparse
 import tempfile
+from dataclasses import asdict
 
 import torch
-from benchmarl.algorithms import IddpgConfig, IppoConfig, MappoConfig, MasacConfig
+from benchmarl.algorithms import IddpgConfig, Ippo, IppoConfig, MappoConfig, MasacConfig
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from measuring import SCENARIO, TRAFFIC, Curve, add_options
@@ -32,7 +33,7 @@ def configure(folder):
     """BenchMARL's settings with which a minute is enough to see something."""
     config = ExperimentConfig.get_from_yaml()
     config.max_n_iters, config.max_n_frames = arguments.iterations, None
-    config.gamma, config.lr = 0.97, 1e-3
+    config.gamma, config.lr, config.clip_grad_val = 0.97, 1e-3, 1.0
     config.on_policy_collected_frames_per_batch = NUM_STEPS
     config.off_policy_collected_frames_per_batch = NUM_STEPS
     config.on_policy_n_envs_per_worker = config.off_policy_n_envs_per_worker = 16
@@ -42,6 +43,27 @@ def configure(folder):
     config.evaluation = config.render = config.create_json = False
     config.loggers, config.save_folder = [], folder
     return config
+
+
+class ActingIppo(Ippo):
+    """IPPO whose policy learns from the rows in which an agent acts; the others are of nobody."""
+
+    def process_batch(self, group, batch):
+        batch = super().process_batch(group, batch)
+        is_acting = batch[group, "acting"].unsqueeze(-1)
+        of_agents = batch[group, "advantage"]
+        chosen = of_agents[is_acting]
+        scaled = (of_agents - chosen.mean()) / chosen.std()
+        batch[group, "advantage"] = torch.where(is_acting, scaled, 0.0)
+        return batch
+
+
+class ActingIppoConfig(IppoConfig):
+    """Names the class."""
+
+    @staticmethod
+    def associated_class():
+        return ActingIppo
 
 
 class Measuring(Callback):
@@ -77,6 +99,8 @@ for name in arguments.algorithms:
         algorithm.scale_mapping = "biased_softplus_0.2_0.1"
     if hasattr(algorithm, "lmbda"):
         algorithm.lmbda = 0.95
+    if name == "ippo":
+        algorithm = ActingIppoConfig(**asdict(algorithm))
     with tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
             task=LaneChangeTask({"scenario": SCENARIO, "overrides": endless}),
