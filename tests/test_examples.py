@@ -42,8 +42,11 @@ def told_as(point):
 
 
 # AgileRL raises the first when it is imported; Tianshou takes an unbounded actor for a bounded one.
+# BenchMARL has an old collector of TorchRL, and expects an end of a road's episode in each batch.
 @pytest.mark.filterwarnings("ignore:MakeEvolvable will be deprecated:DeprecationWarning")
 @pytest.mark.filterwarnings("ignore:action_scaling and action_bound_method are:UserWarning")
+@pytest.mark.filterwarnings("ignore:SyncDataCollector has been deprecated:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:No episode terminated this iteration:UserWarning")
 @pytest.mark.training
 @pytest.mark.parametrize("name", NEEDS)
 def test_an_example_trains_and_measures(name, tmp_path, monkeypatch, capsys):

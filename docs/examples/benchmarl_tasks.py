@@ -2,9 +2,10 @@
 
 import argparse
 import tempfile
+from dataclasses import asdict
 
 import torch
-from benchmarl.algorithms import IddpgConfig, IppoConfig, MappoConfig, MasacConfig
+from benchmarl.algorithms import IddpgConfig, Ippo, IppoConfig, MappoConfig, MasacConfig
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from measuring import SCENARIO, TRAFFIC, Curve, add_options
@@ -21,7 +22,7 @@ ALGORITHMS = {
 }
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=list(ALGORITHMS))
-parser.add_argument("--iterations", type=int, default=20, help="of 2048 steps of a road")
+parser.add_argument("--iterations", type=int, default=25, help="of 2048 steps of a road")
 add_options(parser)
 arguments = parser.parse_args()
 
@@ -31,8 +32,8 @@ NUM_SLOTS, NUM_STEPS = 4, 2048
 def configure(folder):
     """BenchMARL's settings with which a minute is enough to see something."""
     config = ExperimentConfig.get_from_yaml()
-    config.max_n_iters = arguments.iterations
-    config.gamma, config.lr = 0.97, 1e-3
+    config.max_n_iters, config.max_n_frames = arguments.iterations, None
+    config.gamma, config.lr, config.clip_grad_val = 0.97, 1e-3, 1.0
     config.on_policy_collected_frames_per_batch = NUM_STEPS
     config.off_policy_collected_frames_per_batch = NUM_STEPS
     config.on_policy_n_envs_per_worker = config.off_policy_n_envs_per_worker = 16
@@ -42,6 +43,27 @@ def configure(folder):
     config.evaluation = config.render = config.create_json = False
     config.loggers, config.save_folder = [], folder
     return config
+
+
+class ActingIppo(Ippo):
+    """IPPO whose policy learns from the rows in which an agent acts; the others are of nobody."""
+
+    def process_batch(self, group, batch):
+        batch = super().process_batch(group, batch)
+        is_acting = batch[group, "acting"].unsqueeze(-1)
+        of_agents = batch[group, "advantage"]
+        chosen = of_agents[is_acting]
+        scaled = (of_agents - chosen.mean()) / chosen.std()
+        batch[group, "advantage"] = torch.where(is_acting, scaled, 0.0)
+        return batch
+
+
+class ActingIppoConfig(IppoConfig):
+    """Names the class."""
+
+    @staticmethod
+    def associated_class():
+        return ActingIppo
 
 
 class Measuring(Callback):
@@ -68,12 +90,17 @@ def policy_of(experiment):
     return act
 
 
-endless = {**TRAFFIC, "num_agents": None, "horizon": 60.0, "num_slots": NUM_SLOTS}
+endless = {**TRAFFIC, "num_agents": None, "horizon": None, "num_slots": NUM_SLOTS}
 for name in arguments.algorithms:
     algorithm = ALGORITHMS[name].get_from_yaml()
     if hasattr(algorithm, "scale_mapping"):
-        # A standard deviation of 1 would cover the whole range of actions.
-        algorithm.scale_mapping = "biased_softplus_0.2"
+        # A standard deviation of 1 would cover the whole range of actions. Without the second
+        # number, the least, it shrinks to 0.02, and every update throws the policy about.
+        algorithm.scale_mapping = "biased_softplus_0.2_0.1"
+    if hasattr(algorithm, "lmbda"):
+        algorithm.lmbda = 0.95
+    if name == "ippo":
+        algorithm = ActingIppoConfig(**asdict(algorithm))
     with tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
             task=LaneChangeTask({"scenario": SCENARIO, "overrides": endless}),

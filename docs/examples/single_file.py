@@ -11,7 +11,7 @@ from torch.distributions import Normal
 from marl_lanes import parallel_env
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--iterations", type=int, default=20, help="of 1024 steps of agents")
+parser.add_argument("--iterations", type=int, default=40, help="of 1024 steps of agents")
 add_options(parser)
 arguments = parser.parse_args()
 torch.manual_seed(0)
@@ -32,7 +32,8 @@ def network(num_outputs):
 
 actor, critic = network(num_actions), network(1)
 log_std = nn.Parameter(torch.full((num_actions,), -1.5))
-optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters(), log_std], lr=1e-3)
+parameters = [*actor.parameters(), *critic.parameters(), log_std]
+optimizer = torch.optim.Adam(parameters, lr=1e-3)
 
 
 @torch.no_grad()
@@ -98,6 +99,7 @@ for k in range(1, arguments.iterations + 1):
             error = (critic(seen[part])[:, 0] - targets[part]).square().mean()
             optimizer.zero_grad()
             (0.5 * error - gain).backward()
+            nn.utils.clip_grad_norm_(parameters, 0.5)
             optimizer.step()
     num_taken += num_steps
     curve.reach(num_taken, k / arguments.iterations)
