@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -36,10 +37,13 @@ def check_outputs(outputs: Outputs, inputs: Iterable[str | Path | None]) -> None
             continue
         place = f"{option} {path}" if len(str(path)) < 1000 else f"{option} {shown(str(path))}"
         try:
+            # A name too long, links in a circle.
+            with suppress(FileNotFoundError, NotADirectoryError):
+                path.stat()
             target = path.resolve()
             reason = _find_obstacle(path)
-        except (OSError, RuntimeError) as error:  # a name too long; links in a circle
-            reason = (getattr(error, "strerror", None) or "links in a circle").lower()
+        except OSError as error:
+            reason = str(error.strerror).lower()
         if reason is not None:
             raise ValueError(f"{place}: {reason}")
         # A pipe or a device may be given twice.
