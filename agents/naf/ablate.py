@@ -211,7 +211,7 @@ def measure(folder: Path) -> Row:
     return {
         "success_rate": final["success_rate"],
         "cost_ratio": final["cost_ratio"],
-        "last_cost_ratio": float(ratio[-1]),
+        "last_cost_ratio": None if np.isnan(ratio[-1]) else float(ratio[-1]),
         "untrained_success_rate": start["success_rate"],
         "untrained_cost_ratio": start["cost_ratio"],
         **{
