@@ -17,7 +17,7 @@ NEEDS = {
     "plain_torchrl": ("torchrl", ["--iterations", "1"]),
     "rllib_ppo": ("tree", ["--iterations", "1"]),
     "single_file": ("torch", ["--iterations", "1"]),
-    "stable_baselines": ("supersuit", ["--timesteps", "4096"]),
+    "stable_baselines": ("stable_baselines3", ["--timesteps", "4096"]),
     "tianshou_ppo": ("tianshou", ["--steps", "512"]),
 }
 MEASURED = r"(return -\d+\.\d\d, completed \d\.\d\d) of 4 commands"
