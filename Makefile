@@ -34,7 +34,7 @@ INTERPRETED := -m "not (training or slow or long)" tests/traffic/test_golden.py 
 MAKEFLAGS += --jobs=2
 
 .PHONY: train check test test-lowest test-newest trials coverage mutation lint types kernels zoo docs figures reproduction \
-	neighbours benchmark clean
+	neighbours environments benchmark clean
 
 train: $(VENV)/installed
 	$(BIN)/python agents/naf/train.py output=$(RUN) $(ARGS)
@@ -57,7 +57,7 @@ test-lowest test-newest: test-%: .venv-%/installed
 
 # The site is made of the sources: its environment needs none of the package's dependencies.
 docs: .venv-docs/installed
-	.venv-docs/bin/python -m mkdocs build --strict --quiet
+	.venv-docs/bin/python -m mkdocs build --strict
 
 .venv-docs/installed: pyproject.toml constraints.txt
 	test -x .venv-docs/bin/python || $(PYTHON) -m venv .venv-docs
@@ -129,12 +129,18 @@ NEIGHBOURS := $(filter-out package,$(basename $(notdir $(wildcard docs/examples/
 
 neighbours: $(NEIGHBOURS:%=neighbour-%)
 
-# Their versions clash with those of the package's trainings, which the examples do without.
-neighbour-%: docs/examples/environments/%.txt
-	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
-	.venv-$*/bin/python -m pip install --quiet --requirement $<
-	.venv-$*/bin/python -m pip install --quiet --no-deps --editable .
+$(NEIGHBOURS:%=neighbour-%): neighbour-%: .venv-%/installed
 	EXAMPLE=$* .venv-$*/bin/python -m pytest tests/integrations tests/test_examples.py
+
+# Their versions clash with those of the package's trainings, which the examples do without. Byte code is left to the
+# imports: they need little of what is installed.
+environments: $(NEIGHBOURS:%=.venv-%/installed)
+
+.venv-%/installed: docs/examples/environments/%.txt docs/examples/environments/package.txt pyproject.toml
+	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
+	.venv-$*/bin/python -m pip install --quiet --no-compile --requirement $<
+	.venv-$*/bin/python -m pip install --quiet --no-compile --no-deps --editable .
+	touch $@
 
 benchmark: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[benchmark]'

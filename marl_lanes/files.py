@@ -1,19 +1,26 @@
 """Files that are whole or not there: write to a temporary name, then rename."""
 
 import errno
-import fcntl
 import glob
 import json
 import os
 import platform
 import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import BufferedReader, BufferedWriter
 from pathlib import Path
 from typing import Any
+
+import psutil
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
 
 LOCK_FILE = ".lock"
 """File of a folder that one process at a time may lock."""
@@ -37,7 +44,7 @@ def open_regular(path: Path) -> BufferedReader:
 def lock_folder(path: Path) -> BufferedWriter:
     """Lock a folder for this process, until the file is closed or the process ends in any way.
 
-    A record lock: a forked child does not have it. The file stays; its presence means nothing.
+    A record lock: a child process does not have it. The file stays; its presence means nothing.
 
     Args:
         path: of the folder, which is there.
@@ -48,7 +55,10 @@ def lock_folder(path: Path) -> BufferedWriter:
     """
     file = (path / LOCK_FILE).open("ab")
     try:
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if sys.platform == "win32":
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         file.close()
         if error.errno in {errno.EACCES, errno.EAGAIN}:
@@ -108,7 +118,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         _flush(temporary)
-        if before is not None:
+        if before is not None and sys.platform != "win32":
             with suppress(PermissionError):
                 os.chown(temporary, before.st_uid, before.st_gid)
             with suppress(PermissionError):
@@ -130,13 +140,21 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` as UTF-8."""
-    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    """Write ``text`` as UTF-8, with the same bytes on every system."""
+    write_atomically(
+        path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n")
+    )
 
 
 def _flush(path: Path) -> None:
     """Wait until a file's content, or a folder's names, are on the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
+    mode = os.O_RDONLY
+    if sys.platform == "win32":
+        # Windows opens no folder, and flushes what may be written alone.
+        if path.is_dir():
+            return
+        mode = os.O_RDWR
+    descriptor = os.open(path, mode)
     try:
         os.fsync(descriptor)
     finally:
@@ -148,12 +166,13 @@ def _find_descriptor(path: Path) -> int | None:
 
     Who has opened its file goes on writing there: another in its place would not be seen.
     """
-    descriptors = Path(f"/proc/{os.getpid()}/fd")
-    while path.is_symlink():
-        if path.parent.resolve() == descriptors:
-            return int(path.name)
+    # Of Linux and of macOS.
+    folders = {Path(f"/proc/{os.getpid()}/fd"), Path("/dev/fd")}
+    while path.parent.resolve() not in folders:
+        if not path.is_symlink():
+            return None
         path = path.parent / path.readlink()
-    return None
+    return int(path.name) if path.name.isdecimal() else None
 
 
 @contextmanager
@@ -179,16 +198,6 @@ def _remove_abandoned(target: Path) -> None:
     prefix = _prefix(target)
     for path in target.parent.glob(f"{glob.escape(prefix)}*"):
         process = path.name.removeprefix(prefix)
-        if process.isdecimal() and not _is_running(int(process)):
+        if process.isdecimal() and not psutil.pid_exists(int(process)):
             with suppress(OSError):
                 path.unlink()
-
-
-def _is_running(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except PermissionError:
-        return True
-    except (ProcessLookupError, OverflowError):
-        return False
-    return True

@@ -7,12 +7,13 @@ interrupted in any way.
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
@@ -30,6 +31,13 @@ _PAUSE = 0.1
 
 _TOLD = "30"
 """[s] Between two lines of a bar in a log."""
+
+_APART: Mapping[str, Any]
+"""How a process is started that the terminal's Ctrl-C does not reach."""
+if sys.platform == "win32":
+    _APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+else:
+    _APART = {"start_new_session": True}
 
 
 class Run(NamedTuple):
@@ -159,14 +167,18 @@ def _start(run: Run, program: Path, folder: Path) -> subprocess.Popen[bytes]:
             stdout=log,
             stderr=subprocess.STDOUT,
             env={"TQDM_MININTERVAL": _TOLD, **os.environ},
-            start_new_session=True,
+            **_APART,
         )
 
 
 def _interrupt(running: Mapping[str, subprocess.Popen[bytes]]) -> None:
-    # SIGINT is ignored by all that a shell has put into the background.
     for process in running.values():
-        process.terminate()
+        if sys.platform == "win32":
+            # There terminate() ends it at once.
+            process.send_signal(signal.CTRL_BREAK_EVENT)
+        else:
+            # SIGINT is ignored by all that a shell has put into the background.
+            process.terminate()
 
 
 def _explain(name: str, status: int, folder: Path) -> str:

@@ -193,7 +193,10 @@ def report(options: argparse.Namespace, scenarios: Mapping[str, Scenario]) -> No
         "maneuvers": format_table(counts),
     }
     rows += others
-    with replacing(output / "results.csv") as temporary, temporary.open("w", newline="") as file:
+    with (
+        replacing(output / "results.csv") as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)

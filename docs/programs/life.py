@@ -28,20 +28,24 @@ BOX = {"boxstyle": "round,pad=0.5", "facecolor": "white", "linewidth": 1.6}
 PLACES = {Phase.WAITING: (0.22, 0.75), Phase.ENGAGED: (0.58, 0.75), Phase.ABORTING: (0.40, 0.17)}
 OUTCOMES = (
     (Outcome.COMPLETED, TEAL, 0.92),
-    (Outcome.COLLISION, RED, 0.66),
-    (Outcome.OFF_ROAD, RED, 0.40),
-    (Outcome.MISSED, GREY, 0.14),
+    (Outcome.COLLISION, RED, 0.70),
+    (Outcome.OFF_ROAD, RED, 0.53),
+    (Outcome.MISSED, GREY, 0.36),
+    (Outcome.TIMED_OUT, GREY, 0.19),
+    (Outcome.HORIZON, GREY, 0.02),
 )
 
 ARROWS = (
-    ((0.09, 0.75), (0.115, 0.75), "", (0.0, 0.0)),
+    ((0.08, 0.75), (0.115, 0.75), "", (0.0, 0.0)),
     ((0.325, 0.75), (0.49, 0.75), "a safe gap", (0.408, 0.80)),
     ((0.54, 0.64), (0.44, 0.29), "gap unsafe, body\nnot in the lane yet", (0.595, 0.46)),
     ((0.36, 0.29), (0.26, 0.64), "settled in\nits own lane", (0.22, 0.46)),
     ((0.675, 0.79), (0.84, 0.92), "settled in the\ntarget lane", (0.72, 0.96)),
-    ((0.795, 0.42), (0.845, 0.66), "from every\nphase", (0.745, 0.40)),
-    ((0.80, 0.40), (0.85, 0.40), "", (0.0, 0.0)),
-    ((0.795, 0.38), (0.845, 0.14), "", (0.0, 0.0)),
+    ((0.79, 0.38), (0.845, 0.70), "from every\nphase", (0.745, 0.36)),
+    ((0.795, 0.37), (0.848, 0.53), "", (0.0, 0.0)),
+    ((0.80, 0.36), (0.85, 0.36), "", (0.0, 0.0)),
+    ((0.795, 0.35), (0.843, 0.19), "", (0.0, 0.0)),
+    ((0.79, 0.34), (0.845, 0.02), "", (0.0, 0.0)),
 )
 """From where to where, what is said of it, and where."""
 
@@ -83,7 +87,7 @@ def _draw_phases(axes: Axes) -> None:
     for phase, (x, y) in PLACES.items():
         text = f"{phase.name.lower()}\nsteers: {STEERS[phase]}"
         axes.text(x, y, text, ha="center", va="center", bbox=BOX | {"edgecolor": COLOURS[phase]})
-    axes.text(0.0, 0.75, "command", ha="left", va="center")
+    axes.text(-0.02, 0.75, "command", ha="left", va="center")
     for outcome, colour, y in OUTCOMES:
         name = outcome.name.lower().replace("_", " ")
         axes.text(0.9, y, name, ha="center", va="center", bbox=BOX | {"edgecolor": colour})

@@ -11,12 +11,14 @@ from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[2]
-NAMES = ("README", "CHANGELOG", "CODE_OF_CONDUCT", "CONTRIBUTING", "SECURITY")
+NAMES = ("README.md", "CHANGELOG.md", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md")
+FILES = ("CITATION.cff", "LICENSE")
 OUTSIDE = [
-    *(f"{name}.md" for name in NAMES),
+    *NAMES,
+    *FILES,
     *(path.relative_to(ROOT).as_posix() for path in sorted(ROOT.glob("agents/**/*.md"))),
 ]
-"""Pages of the site that are not in docs/: their paths in the repository, and in the site."""
+"""Of the site and not in docs/: their paths in the repository, and in the site."""
 
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s#]+")
 LOADED = re.compile(r"<(?:script|img|iframe)[^>]+src=.?https?:[^>]*>|<link[^>]+sheet[^>]+https?:")

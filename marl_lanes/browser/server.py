@@ -1,6 +1,7 @@
 """The live server: the page and a running simulation, for browsers of this computer alone."""
 
 import asyncio
+import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
@@ -63,8 +64,10 @@ def open_socket(port: int) -> socket.socket:
         raise ValueError(f"--port {port}: must be 0 to 65535")
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        # A port whose last connections are closing can be had again.
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if os.name == "posix":
+            # A port whose last connections are closing can be had again. On Windows it can without
+            # this, with which two servers could have one port.
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((HOST, port))
         listener.listen()
     except OSError as error:

@@ -231,7 +231,7 @@ def _check_gpu() -> Iterator[Finding]:
         names = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
         yield Finding("gpu", f"{', '.join(names)}, CUDA {torch.version.cuda}")
         yield _check_gpu_kernels()
-    elif not Path("/dev/nvidiactl").exists():
+    elif not Path("/dev/nvidiactl").exists() and shutil.which("nvidia-smi") is None:
         yield Finding("gpu", "none; trainings need none")
     elif torch.version.cuda is None:
         yield Finding("gpu", "not used: this build of torch is for processors alone")

@@ -54,8 +54,8 @@ def add(commands: Commands) -> None:
             marl-lanes record tuned-cascade --scenario dense --followers cooperative \\
                 neutral adversarial --out side_by_side.mp4
             marl-lanes record tuned-cascade --scenario dense --maneuver 4 --out film.mp4 \\
-                --out roads.parquet
-            marl-lanes record roads.parquet --at 41.5 --out still.png
+                --out road.parquet
+            marl-lanes record road.parquet --at 41.5 --out still.png
             marl-lanes record runs/paper/trajectories/*.parquet --maneuver 0 \\
                 --out training.mp4
         """,

@@ -1,5 +1,6 @@
 """The TorchRL environment: E roads that advance together, their agents in reusable slots."""
 
+import os
 import sys
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -16,9 +17,10 @@ from torchrl.envs import EnvBase
 from marl_lanes.envs.closing import Closes
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.envs.gpu_exchange import Exchange, check_device
+from marl_lanes.envs.sizes import bytes_of_batched_road
 from marl_lanes.envs.tensordict_internals import make_tensordict
 from marl_lanes.envs.timing import timed
-from marl_lanes.envs.vehicle_table import read_vehicle_tables, state_bounds, state_columns
+from marl_lanes.envs.vehicle_table import read_vehicle_tables, state_bounds
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
@@ -27,17 +29,14 @@ from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.readout import Columns, read_changers, read_followers
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
-from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.roles.role import Bounds
-from marl_lanes.traffic.simulator import Simulator, bytes_of_road
+from marl_lanes.traffic.simulator import Simulator
 
 if TYPE_CHECKING:
     from marl_lanes.envs.rendering import Renderer, View
 
 _ENDS = ("done", "terminated", "truncated")
 _CPU = torch.device("cpu")
-_BYTES_OF_SLOT = 32
-"""Of an agent's masks, ends, rewards and outcome."""
 
 
 class LaneChangeEnv(Closes, EnvBase):
@@ -83,7 +82,8 @@ class LaneChangeEnv(Closes, EnvBase):
     memory copy and wait.
 
     Use it from one thread at a time. ``make`` functions without a seed make environments that
-    differ, also in workers; a copy (pickle, deepcopy) goes on with the same random numbers.
+    differ, also in workers. A copy (pickle, deepcopy) goes on with the same random numbers; one of
+    an environment without a seed that has not been reset draws its own.
 
     Args:
         scenario: a shipped name, the path of a YAML file, a mapping or a Scenario.
@@ -145,8 +145,9 @@ class LaneChangeEnv(Closes, EnvBase):
         num_envs = check_whole("num_envs", num_envs, 1, sys.maxsize)
         self.has_state = check_flag("has_state", has_state)
         if not is_there:
-            size = _bytes_of_road(loaded, learned_followers)
-            size += self.has_state * bytes_of_state(loaded)
+            size = bytes_of_batched_road(
+                loaded, has_followers=learned_followers, has_state=self.has_state
+            )
             check_memory("num_envs", num_envs, num_envs * size)
         self.simulator = Simulator(
             loaded,
@@ -173,6 +174,8 @@ class LaneChangeEnv(Closes, EnvBase):
             for role in self.roles
         }
         self._is_restored = False
+        # Whether the seed is not given, and no traffic is of it yet; and in which process.
+        self._is_drawn, self._process = seed is None, os.getpid()
         self.render_mode = render_mode
         self._view = view
         self._renderers: dict[int, Renderer] = {}
@@ -185,6 +188,13 @@ class LaneChangeEnv(Closes, EnvBase):
         """The seed with which the present random numbers began, given or drawn."""
         return self.simulator.initial_seed
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        if self._is_drawn:
+            # Collectors and vector environments copy one that has not been used.
+            self.simulator.seed()
+            self._process = os.getpid()
+
     def restore(self, snapshot: bytes) -> None:
         """Continue from ``simulator.snapshot()`` of an equal environment.
 
@@ -195,7 +205,7 @@ class LaneChangeEnv(Closes, EnvBase):
             ValueError: as for ``Simulator.restore``; nothing is changed.
         """
         self.simulator.restore(snapshot)
-        self._is_restored = True
+        self._is_restored, self._is_drawn = True, False
         for renderer in self._renderers.values():
             renderer.restart()
 
@@ -289,6 +299,10 @@ class LaneChangeEnv(Closes, EnvBase):
             mask = tensordict["_reset"].reshape(self.simulator.num_envs)
             if self._exchange is None or mask.device != self._exchange.device:
                 mask = mask.cpu().numpy()
+        if self._is_drawn and os.getpid() != self._process:
+            # They may fork, too.
+            self.simulator.seed()
+        self._is_drawn = False
         with self._streamed():
             if mask is not None or not self._is_restored:
                 self.simulator.reset(mask)
@@ -383,6 +397,7 @@ class LaneChangeEnv(Closes, EnvBase):
         return tensordict.to(device) if is_elsewhere else tensordict
 
     def _set_seed(self, seed: int | None) -> None:
+        self._is_drawn = seed is None
         with self._streamed():
             self.simulator.seed(seed)
 
@@ -392,22 +407,6 @@ def _bounded(bounds: Bounds, batch: tuple[int, ...]) -> Bounded:
     shape = (*batch, *bounds[0].shape)
     low, high = (torch.tensor(bound, device=_CPU).expand(shape) for bound in bounds)
     return Bounded(low, high, shape, dtype=torch.float32, device=_CPU)
-
-
-def _bytes_of_road(scenario: Scenario, has_followers: bool) -> int:
-    """Memory of one road [bytes]: its state, the bounds in the specs, and the tensors of a step."""
-    slots = scenario.num_slots
-    tensors = 0
-    for role in (CHANGER, FOLLOWER) if has_followers else (CHANGER,):
-        numbers = len(role.seen(scenario)) + len(role.act(scenario))
-        tensors += slots * (4 * numbers + _BYTES_OF_SLOT)
-    # Two bounds in the specs, two tensordicts for a step: before it and after it.
-    return bytes_of_road(scenario) + 4 * tensors
-
-
-def bytes_of_state(scenario: Scenario) -> int:
-    """Memory of one road's ``state``, before a step and after it [bytes]."""
-    return 8 * scenario.max_vehicles * len(state_columns(scenario))
 
 
 def _read_actions(tensordict: TensorDictBase, group: str) -> NDArray[Any]:

@@ -4,9 +4,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
+import numpy as np
 from pettingzoo import AECEnv
-from pettingzoo.utils.conversions import parallel_to_aec
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
+from marl_lanes.envs.closing import Closes
 from marl_lanes.envs.normalised import Normalised
 from marl_lanes.envs.parallel import LaneChangeParallelEnv
 from marl_lanes.envs.population import ConstantPopulation
@@ -77,4 +80,13 @@ def env(
     **options: Unpack[FormOptions],
 ) -> AECEnv:
     """The same environment in PettingZoo's AEC (agent-environment-cycle) form."""
-    return parallel_to_aec(parallel_env(scenario, render_mode, **options))
+    return _CycleEnv(parallel_to_aec_wrapper(parallel_env(scenario, render_mode, **options)))
+
+
+class _CycleEnv(Closes, OrderEnforcingWrapper[Any, Any, Any]):
+    """PettingZoo's conversion, with what the parallel form can do besides."""
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        generator: np.random.Generator = self.unwrapped.np_random
+        return generator

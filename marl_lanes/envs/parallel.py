@@ -117,7 +117,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         self._has_flat_state = check_flag("has_flat_state", has_flat_state)
         self._learned_followers, self._policies = learned_followers, follower_policies
         self._is_seeded = seed is not None
-        self._np_random: np.random.Generator | None = None
+        self._generator: tuple[int, np.random.Generator] | None = None
         self.simulator = self._make_simulator(load_scenario(scenario, overrides), seed)
         self.scenario = self._made = self.simulator.scenario
         self.render_mode = render_mode
@@ -210,9 +210,9 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
     @property
     def np_random(self) -> np.random.Generator:
         """A generator with the same seed, for wrappers; the traffic has its own random numbers."""
-        if self._np_random is None:
-            self._np_random = np.random.default_rng(self.initial_seed)
-        return self._np_random
+        if self._generator is None or self._generator[0] != self.initial_seed:
+            self._generator = self.initial_seed, np.random.default_rng(self.initial_seed)
+        return self._generator[1]
 
     @property
     def is_cut(self) -> bool:
@@ -252,7 +252,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         simulator = self._find_traffic(chosen.overrides or {})
         if seed is not None:
             simulator.seed(seed)
-            self._np_random = None
+            self._generator = None
         self._is_seeded, self._num_cycles = True, 0
         if simulator is not self.simulator:
             self._use_traffic(simulator)

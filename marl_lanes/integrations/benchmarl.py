@@ -6,7 +6,7 @@ from typing import Any
 from benchmarl.environments.common import TaskClass
 from tensordict import TensorDictBase
 from torchrl.data import Composite
-from torchrl.envs import EnvBase, Transform
+from torchrl.envs import EnvBase, FlattenObservation, Transform
 
 from marl_lanes.envs.batched import LaneChangeEnv
 from marl_lanes.envs.transforms import normalising
@@ -44,8 +44,11 @@ class LaneChangeTask(TaskClass):
         return lambda: LaneChangeEnv(scenario, num_envs, seed=seed, device=device, **config)
 
     def get_env_transforms(self, env: EnvBase) -> list[Transform]:
-        """Those of ``normalise``."""
-        return normalising(env)
+        """Those of ``normalise``; the state as a vector, which BenchMARL's networks take."""
+        transforms = normalising(env)
+        if env.has_state:
+            transforms.append(FlattenObservation(-2, -1, in_keys=["state"]))
+        return transforms
 
     def supports_continuous_actions(self) -> bool:
         """Actions are accelerations."""

@@ -1,13 +1,17 @@
-"""Ctrl-C, SIGTERM, SIGHUP: the main process finishes what it is at, its workers ignore them."""
+"""Ctrl-C, SIGTERM, a closed terminal: the main process ends what it is at, workers ignore them."""
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""SIGHUP comes when the terminal is closed."""
+# The last one comes when the terminal is closed.
+if sys.platform == "win32":
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGBREAK)
+else:
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager

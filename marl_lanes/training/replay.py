@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ RARE = "is_aborting"
 
 ROWS_AT_ONCE = 32_768
 """Rows read together, for as many updates as they make."""
+
+_BLOCK = 2**20
 
 
 class Replay(Experience):
@@ -107,8 +110,7 @@ class Replay(Experience):
         if is_first and not self.is_in_memory:
             # The files have holes: to write there on a full disk would end the process.
             for path in (self.folder / name).rglob("*.memmap"):
-                with path.open("r+b") as file:
-                    os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+                _fill_holes(path)
 
     def num_due(self, transitions: int, updates: int) -> int:
         """Updates that are due: one for so many transitions, beginning after the first ones."""
@@ -158,6 +160,19 @@ class Replay(Experience):
                 size = next(iter(rows.values())).shape[0]
                 self._extend(name, TensorDict(rows, [size]).unflatten_keys("."))
             ring.writer.load_state_dict(state[name]["writer"])
+
+
+def _fill_holes(path: Path) -> None:
+    """Give a file all its room on the disk; its content stays."""
+    # On Windows files have no holes unless one asks for them.
+    if sys.platform != "win32":
+        with path.open("r+b") as file:
+            if sys.platform == "linux":
+                os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+            else:
+                while content := file.read(_BLOCK):
+                    file.seek(-len(content), os.SEEK_CUR)
+                    file.write(content)
 
 
 def _flat(ring: TensorDictReplayBuffer) -> dict[str, Tensor]:

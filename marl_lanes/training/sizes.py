@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-from marl_lanes.envs.batched import bytes_of_state
+from marl_lanes.envs.sizes import bytes_of_state
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown

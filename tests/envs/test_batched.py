@@ -2,9 +2,7 @@
 
 import copy
 import pickle
-from types import SimpleNamespace
 
-import psutil
 import pytest
 import torch
 from forking import exit_code_of_child
@@ -14,7 +12,6 @@ from torchrl.envs import RewardSum, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from marl_lanes import LaneChangeEnv, ScenarioError, parallel_env
-from marl_lanes.envs import batched
 from marl_lanes.traffic.machine.state import Outcome
 
 torch.set_num_threads(1)
@@ -463,32 +460,6 @@ def test_torchs_defaults_change_nothing(dtype, device, learned_followers):
     assert found.device == torch.device("cpu")
     if not learned_followers:
         assert_equal(found, expected)
-
-
-def test_more_roads_than_memory_are_refused_before_anything_is_made(monkeypatch):
-    needed = 1000 * batched._bytes_of_road(LaneChangeEnv("paper", 1).scenario, False)
-    made = []
-    allocate = batched.Simulator
-    monkeypatch.setattr(batched, "Simulator", lambda *_, **__: made.append(1) or allocate)
-    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=needed - 1))
-    with pytest.raises(ValueError, match=r"^num_envs = 1000: needs about .* at most 999 here$"):
-        LaneChangeEnv("paper", 1000)
-    assert not made
-
-
-def test_the_estimate_of_memory_is_what_is_used():
-    env = LaneChangeEnv("interactive", 64, seed=0, learned_followers=True)
-    state = sum(array.nbytes for array in env.simulator.state.arrays)
-    state += env.simulator.actions.nbytes + env.simulator.follower_actions.nbytes
-    assert state == 64 * env.simulator.bytes_per_environment
-    bounds = sum(
-        env.full_observation_spec[group, "observation"].space.low.nbytes * 2
-        + env.full_action_spec[group, "action"].space.low.nbytes * 2
-        for group in env.group_map
-    )
-    used = state + bounds + env.rollout(1).bytes()
-    estimate = 64 * batched._bytes_of_road(env.scenario, True)
-    assert used <= estimate < 1.2 * used
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")

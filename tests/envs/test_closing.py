@@ -28,6 +28,6 @@ def test_every_form_is_closed_twice(options):
     road.close()
     with LaneChangeEnv(seed=0) as roads:
         roads.reset()
-    cycle = env(seed=0)
-    cycle.close()
+    with env(seed=0, **options) as cycle:
+        cycle.reset()
     cycle.close()

@@ -19,6 +19,16 @@ def make():
     return LaneChangeEnv("paper", 2, overrides=QUICK)
 
 
+class Same:
+    """A function that always returns the same environment."""
+
+    def __init__(self, roads):
+        self.roads = roads
+
+    def __call__(self):
+        return self.roads
+
+
 def traffic(road):
     """Bytes of the roads after a reset."""
     road.reset()
@@ -72,7 +82,13 @@ def test_to_set_no_seed_draws_one():
     assert single.initial_seed == 3
 
 
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])  # noqa: S301
+DUPLICATE = pytest.mark.parametrize(
+    "duplicate",
+    [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))],  # noqa: S301
+)
+
+
+@DUPLICATE
 @pytest.mark.parametrize("form", FORMS[1:])
 def test_a_copy_goes_on_with_the_same_random_numbers(form, duplicate):
     road = form("paper", overrides=QUICK)
@@ -84,6 +100,44 @@ def test_a_copy_goes_on_with_the_same_random_numbers(form, duplicate):
     assert roads[0].simulator.snapshot() != roads[1].simulator.snapshot()
     twin.reset()
     assert roads[0].simulator.snapshot() == roads[1].simulator.snapshot()
+
+
+@DUPLICATE
+@pytest.mark.parametrize("form", FORMS[1:])
+def test_a_copy_draws_its_own_seed_if_none_was_given_and_nothing_has_happened(form, duplicate):
+    road = made(form)
+    seeds = {duplicate(road).unwrapped.initial_seed for _ in range(2)}
+    assert len(seeds | {road.unwrapped.initial_seed}) == 3
+    assert duplicate(made(form, 5)).unwrapped.initial_seed == 5
+
+
+def test_a_batch_that_was_seeded_or_restored_is_copied_as_it_is():
+    roads = make()
+    roads.set_seed(3)
+    assert copy.deepcopy(roads).initial_seed == 3
+    other = make()
+    other.restore(roads.simulator.snapshot())
+    assert copy.deepcopy(other).simulator.snapshot() == roads.simulator.snapshot()
+    roads.set_seed(None)
+    assert copy.deepcopy(roads).initial_seed != roads.initial_seed
+
+
+def test_the_generator_for_wrappers_belongs_to_the_present_seed():
+    def first_number(road):
+        return road.np_random.bit_generator.state
+
+    road = parallel_env(overrides=QUICK)
+    other = parallel_env(seed=1, overrides=QUICK)
+    first_number(road)
+    twin = copy.deepcopy(road)
+    expected = parallel_env(seed=twin.initial_seed)
+    assert first_number(twin) == first_number(expected)
+    other.reset()
+    road.reset(options={"snapshot": other.simulator.snapshot()})
+    assert road.initial_seed == 1
+    assert first_number(road) == first_number(parallel_env(seed=1))
+    cycle = env(seed=1)
+    assert first_number(cycle) == first_number(parallel_env(seed=1))
 
 
 @pytest.mark.parametrize("seed", [None, 7])
@@ -98,7 +152,9 @@ def test_serial_copies_differ(seed):
 
 
 @pytest.mark.training
-@pytest.mark.parametrize("wrap", [lambda function: function, EnvCreator])
+@pytest.mark.parametrize(
+    "wrap", [lambda function: function, EnvCreator, lambda function: Same(function())]
+)
 def test_the_copies_of_workers_differ(wrap):
     roads = ParallelEnv(2, wrap(make), mp_start_method="fork")
     seen = roads.rollout(80, break_when_any_done=False)["changers", "observation"]
