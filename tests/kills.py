@@ -1,12 +1,13 @@
 """Programs that are killed, or find the disk full, at a chosen one of their writes."""
 
 import os
-import resource
 import signal
 import sys
 import traceback
 import warnings
 from pathlib import Path
+
+import pytest
 
 WRITING = os.O_WRONLY | os.O_RDWR
 
@@ -35,6 +36,8 @@ def fill_disk(size):
     """From now on a write that makes a file larger than this [bytes] fails."""
 
     def limit():
+        import resource
+
         _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
 
@@ -54,6 +57,8 @@ def run_until(program, folder, options, number, act):
     Returns:
         the exit status as of ``subprocess``, and what was printed.
     """
+    if not hasattr(os, "fork"):
+        pytest.skip("no fork in os here")
     reader, writer = os.pipe()
     with warnings.catch_warnings():
         # Python says that threads do not live on in a child: none is needed there.

@@ -1,21 +1,26 @@
 """Files that are whole or not there, at whatever path."""
 
+import errno
 import os
 import platform
-import signal
 import stat
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from systems import needs, needs_links, needs_path
 
+from marl_lanes import files
 from marl_lanes.files import (
+    LockedError,
     copy_file,
     lock_folder,
     open_regular,
     write_atomically,
     write_json,
+    write_text,
 )
 
 JSON = '{\n  "a": 1\n}\n'
@@ -58,6 +63,7 @@ def test_a_write_replaces_the_old_file_at_once(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["file.txt"]
 
 
+@needs_path("/proc/self/fd")
 def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
     """After a power cut there is the old file or the new one, not an empty one."""
     done = []
@@ -73,6 +79,8 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
     assert folder == (tmp_path, True)
 
 
+@needs_links
+@needs("mkfifo")
 def test_what_is_no_file_is_not_opened(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("/dev/zero")
@@ -107,6 +115,52 @@ def test_a_folder_is_locked_for_other_processes_until_it_is_released(tmp_path):
     lock_folder(tmp_path).close()
 
 
+@pytest.fixture
+def windows(monkeypatch):
+    """What the module would find there; returns the flags of the files that it opens to flush."""
+    flags = []
+    real_open = os.open
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.delattr(os, "chown", raising=False)
+    monkeypatch.delattr(files, "fcntl", raising=False)
+    monkeypatch.setattr(os, "open", lambda *given: flags.append(given[1]) or real_open(*given))
+    return flags
+
+
+@needs("chown")
+def test_windows_flushes_what_may_be_written_and_no_folder(tmp_path, windows):
+    for text in ("1", "22"):
+        write_json(tmp_path / "file.json", text)
+    assert windows == [os.O_RDWR, os.O_RDWR]
+    assert names(tmp_path) == ["file.json"]
+
+
+@pytest.mark.parametrize("is_free", [True, False])
+@needs("chown")
+def test_windows_locks_a_byte(tmp_path, windows, monkeypatch, is_free):  # noqa: ARG001
+    calls = []
+
+    def lock(descriptor, mode, number):
+        calls.append((os.fstat(descriptor).st_size, mode, number))
+        if not is_free:
+            raise PermissionError(errno.EACCES, "Permission denied")
+
+    there = SimpleNamespace(LK_NBLCK="no waiting", locking=lock)
+    monkeypatch.setattr(files, "msvcrt", there, raising=False)
+    if is_free:
+        lock_folder(tmp_path).close()
+    else:
+        with pytest.raises(LockedError, match="another process"):
+            lock_folder(tmp_path)
+    assert calls == [(0, "no waiting", 1)]
+
+
+def test_text_has_the_same_bytes_on_every_system(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "linesep", "\r\n")
+    write_text(tmp_path / "file.txt", "a\nb\n")
+    assert (tmp_path / "file.txt").read_bytes() == b"a\nb\n"
+
+
 def test_json_holds_no_nan(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         write_json(tmp_path / "a.json", {"value": float("nan")})
@@ -124,6 +178,7 @@ def test_a_copy_has_the_bytes(tmp_path):
     assert (tmp_path / "other").read_bytes() == b"\0\1"
 
 
+@needs_links
 @pytest.mark.parametrize("is_there", [True, False])
 def test_links_are_followed(tmp_path, is_there):
     disk, here = tmp_path / "disk", tmp_path / "here"
@@ -140,6 +195,7 @@ def test_links_are_followed(tmp_path, is_there):
     assert names(here) == ["first.json", "second.json"]
 
 
+@needs_links
 def test_a_circle_of_links_is_refused(tmp_path):
     (tmp_path / "a").symlink_to("b")
     (tmp_path / "b").symlink_to("a")
@@ -148,6 +204,7 @@ def test_a_circle_of_links_is_refused(tmp_path):
     assert all(link.is_symlink() for link in tmp_path.iterdir())
 
 
+@needs("chown")
 @pytest.mark.parametrize("mode", [0o600, 0o640, 0o444, 0o755])
 def test_a_file_keeps_its_mode(tmp_path, mode):
     file = tmp_path / "file.json"
@@ -158,7 +215,9 @@ def test_a_file_keeps_its_mode(tmp_path, mode):
     assert file.read_text(encoding="utf-8") == JSON
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+@pytest.mark.skipif(
+    getattr(os, "geteuid", lambda: 1)() != 0, reason="only root can give files away"
+)
 def test_a_file_keeps_its_owner(tmp_path):
     file = tmp_path / "file.json"
     file.write_text("old", encoding="utf-8")
@@ -167,6 +226,7 @@ def test_a_file_keeps_its_owner(tmp_path):
     assert (file.stat().st_uid, file.stat().st_gid) == (1234, 5678)
 
 
+@needs("chown")
 def test_a_new_file_has_the_mode_that_the_process_gives(tmp_path):
     before = os.umask(0o027)
     try:
@@ -180,12 +240,15 @@ def test_a_new_file_has_the_mode_that_the_process_gives(tmp_path):
 def pipe(tmp_path):
     """A named pipe, and its reader."""
     path = tmp_path / "pipe.json"
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("no mkfifo in os here")
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     yield path, reader
     os.close(reader)
 
 
+@needs_links
 @pytest.mark.parametrize("is_linked", [False, True])
 def test_a_pipe_is_sent_the_content(tmp_path, pipe, is_linked):
     path, reader = pipe
@@ -214,6 +277,7 @@ def test_a_pipe_is_sent_nothing_that_is_not_whole(pipe):
     assert os.read(reader, 100) == b""
 
 
+@needs_path("/dev/fd")
 def test_an_open_descriptor_is_written_to():
     reader, writer = os.pipe()
     write_json(Path(f"/dev/fd/{writer}"), {"a": 1})
@@ -222,6 +286,7 @@ def test_an_open_descriptor_is_written_to():
     os.close(writer)
 
 
+@needs_path("/dev/stdout")
 def test_what_standard_output_goes_to_stays_that_file(tmp_path):
     program = (
         "from pathlib import Path; from marl_lanes.files import write_json\n"
@@ -234,21 +299,21 @@ def test_what_standard_output_goes_to_stays_that_file(tmp_path):
 
 
 def test_a_folder_is_refused_before_any_work(tmp_path):
-    with pytest.raises(IsADirectoryError):
+    with pytest.raises((IsADirectoryError, PermissionError)):
         write_atomically(tmp_path, lambda _: pytest.fail("written"))
 
 
 def test_what_a_killed_process_left_behind_is_removed(tmp_path):
     program = (
-        "import os, signal, sys; from pathlib import Path\n"
+        "import os, sys; from pathlib import Path\n"
         "from marl_lanes.files import write_atomically\n"
         "def die(temporary):\n"
-        "    temporary.write_text('half'); os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    temporary.write_text('half'); os._exit(9)\n"
         "write_atomically(Path(sys.argv[1]), die)"
     )
     file = tmp_path / "[file].json"
     done = subprocess.run([sys.executable, "-c", program, str(file)], check=False)
-    assert done.returncode == -signal.SIGKILL
+    assert done.returncode == 9
     (left,) = names(tmp_path)
     number = left.rpartition(".")[2]
     kept = [

@@ -1,15 +1,17 @@
 """Many trainings by one command: skipped, resumed, refused, several at once, interrupted."""
 
-import os
+import importlib.util
 import shlex
 import shutil
 import signal
+import subprocess
 import sys
 import threading
 import time
 
 import pytest
 
+from marl_lanes import studies
 from marl_lanes.studies import Run, carry_out, is_finished
 from marl_lanes.training.config import ConfigError
 from marl_lanes.training.failures import TrainingError
@@ -25,7 +27,7 @@ def stop(*_):
         sys.exit(3)
     stopped.append(1)
     (folder / "told").touch()
-signal.signal(signal.SIGTERM, stop)
+signal.signal(getattr(signal, "SIGBREAK", signal.SIGTERM), stop)
 word, *options = sys.argv[1:]
 fields = dict(option.split("=") for option in options)
 print("algorithm", word)
@@ -151,7 +153,7 @@ def interrupt_when(*are_times):
         for is_time in are_times:
             while not is_time():
                 time.sleep(0.01)
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
 
     threading.Thread(target=wait, daemon=True).start()
 
@@ -178,3 +180,20 @@ def test_a_second_interruption_stops_at_once(study):
     assert not carry_out([make("a", 3_000)], study)
     # Stopped in its midst: what it would write at its end is not there.
     assert not (run / "log").exists()
+
+
+def test_on_windows_a_training_is_asked_to_end_and_is_not_killed(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 512, raising=False)
+    monkeypatch.setattr(signal, "CTRL_BREAK_EVENT", 1, raising=False)
+    spec = importlib.util.spec_from_file_location("there", studies.__file__)
+    there = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(there)
+    sent = []
+
+    class Process:
+        send_signal = sent.append
+
+    there._interrupt({"one": Process()})
+    assert there._APART == {"creationflags": 512}
+    assert sent == [1]

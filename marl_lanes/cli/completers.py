@@ -2,6 +2,8 @@
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from marl_lanes.cli.policies import UNTRAINED
@@ -71,12 +73,15 @@ def overrides(prefix: str) -> Iterator[str]:
         yield from _fields(read_yaml(FOLDER / path))
 
 
-def files(prefix: str) -> Iterable[str]:
-    """Files and folders that begin so."""
-    from argcomplete.completers import FilesCompleter
-
-    found: Iterable[str] = FilesCompleter()(prefix)
-    return found
+def files(prefix: str) -> Iterator[str]:
+    """Files and folders that begin so; argcomplete would ask bash, which is not everywhere."""
+    folder, separator, beginning = prefix.rpartition("/")
+    place = Path(folder + separator).expanduser()
+    with suppress(OSError):
+        for path in sorted(place.iterdir()):
+            is_hidden = path.name.startswith(".") and not beginning
+            if path.name.startswith(beginning) and not is_hidden:
+                yield f"{folder}{separator}{path.name}{'/' * path.is_dir()}"
 
 
 def _fields(section: Mapping[str, Any], above: str = "") -> Iterator[str]:

@@ -65,7 +65,14 @@ class Window:
         text = min(max(height // 45, 10), 30)
         self._bar = pygame.Rect(0, height, width, 2 * text)
         title = f"marl-lanes: {scenario.name}"
-        self._window: pygame.Window | None = pygame.Window(title, (width, self._bar.bottom))
+        try:
+            window = pygame.Window(title, (width, self._bar.bottom))
+        except pygame.error as error:
+            # A driver without a screen may begin all the same.
+            if not _windows:
+                pygame.display.quit()
+            raise _refusal(str(error)) from None
+        self._window: pygame.Window | None = window
         self._number = self._window.id
         _windows[self._number] = self
         self._lettering = Lettering()
@@ -249,7 +256,11 @@ def _find_display() -> None:
             return
         pygame.display.quit()
         reason = f"SDL has only its driver {driver!r}, which shows nothing"
-    raise DisplayError(
+    raise _refusal(reason)
+
+
+def _refusal(reason: str) -> DisplayError:
+    return DisplayError(
         f"render_mode = 'human': no display for a window ({reason}); use 'rgb_array' here, or set "
         "DISPLAY"
     )

@@ -1,6 +1,5 @@
 """The league: its pool, who meets whom, its ratings, an interruption, and what it refuses."""
 
-import os
 import shutil
 import signal
 
@@ -72,7 +71,7 @@ def league(program, tmp_path_factory):
 
     def interrupted(learner):
         if learner.run.path.name == "changer_1" and learner.transitions > 20:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         phases.append(learner.run.path.name)
         return collect(learner)
 

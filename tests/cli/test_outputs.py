@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from cli.commands import FOLLOWERS
+from systems import needs, needs_links
 
 from marl_lanes.cli import outputs
 from marl_lanes.cli.main import main
@@ -72,6 +73,7 @@ def test_a_file_of_trajectories_that_cannot_be_written(name, message):
     check_trajectories(None)
 
 
+@needs_links
 def test_what_is_read_is_not_replaced(tmp_path):
     """Also under another name; a copy is another file."""
     read, link, copy = (tmp_path / name for name in ("read.pt", "link.pt", "copy.pt"))
@@ -87,6 +89,7 @@ def test_what_is_read_is_not_replaced(tmp_path):
         check_outputs([("--json", new), ("--figure", new)], [])
 
 
+@needs("mkfifo")
 def test_a_pipe_or_a_device_may_be_written_twice(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)

@@ -112,6 +112,9 @@ BAD_ARRAYS = {
     "nan": lambda shape: np.full(shape, np.nan),
     "inf": lambda shape: np.full(shape, -np.inf, np.float16),
 }
+if np.dtype(np.longdouble).itemsize == 8:
+    # As on Windows, where it is another name of float64.
+    del BAD_ARRAYS["long"]
 FORGIVEN = {"gradient", "too deep", "number"}
 """An agent's action may have any shape and may require a gradient, a batch may not."""
 GOOD_ARRAYS = {

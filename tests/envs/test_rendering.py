@@ -284,7 +284,17 @@ def test_other_modes_and_views_are_refused(form):
 
 
 @pytest.mark.usefixtures("no_display")
-def test_a_window_without_a_display_is_one_error_that_changes_nothing():
+@pytest.mark.parametrize("can_begin", [False, True])
+def test_a_window_without_a_display_is_one_error_that_changes_nothing(monkeypatch, can_begin):
+    def fail(*_):
+        raise pygame.error("no screen")
+
+    if can_begin:
+        # As Windows does where nobody is logged in.
+        monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+        monkeypatch.setattr(pygame, "Window", fail)
+    elif sys.platform != "linux":
+        pytest.skip("there is always a display")
     road = parallel_env("paper", "human", view=SMALL, seed=0)
     before = road.simulator.snapshot()
     with pytest.raises(DisplayError, match="render_mode = 'human': no display for a window"):

@@ -11,6 +11,7 @@ import pytest
 import torch
 from checkpoints import OTHER_FILES, assert_runs_no_code, save_trained
 from damage import assert_read_as_it_was_or_refused
+from systems import needs
 
 from marl_lanes.naf.checkpoint import (
     CheckpointError,
@@ -147,6 +148,7 @@ def test_strange_entries_are_refused_or_change_nothing(policy_file, change):
     assert set(policy_file.parent.parent.rglob("*")) == before
 
 
+@needs("mkfifo")
 def test_what_is_no_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.pt")
     for path in (tmp_path / "pipe.pt", Path("/dev/zero"), tmp_path):

@@ -5,6 +5,7 @@ import os
 
 import pytest
 from report.runs import add_replays, make_run
+from systems import needs, needs_links
 
 from marl_lanes.report.run_files import ReportError, read_run
 
@@ -49,6 +50,8 @@ def link(run, name, target):
     (run / name).symlink_to(target)
 
 
+@needs("mkfifo")
+@needs_links
 @pytest.mark.parametrize(
     ("name", "change"),
     [
@@ -69,6 +72,7 @@ def test_a_link_out_of_the_folder_and_a_pipe_are_refused(tmp_path, name, change)
         read_run(run)
 
 
+@needs_links
 def test_a_folder_may_be_a_link_and_hold_links_to_its_own_files(tmp_path):
     run = make_run(tmp_path / "run")
     (run / "best.yaml").symlink_to("scenario.yaml")

@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from scenario.refusals import error_of
+from systems import needs_links
 
 from marl_lanes.scenario import ScenarioError, list_scenarios, load_scenario
 
@@ -278,6 +279,7 @@ def test_a_policy_of_the_zoo_is_no_path(tmp_path):
     assert checkpoint_of(path) == "zoo:adversary"
 
 
+@needs_links
 @pytest.mark.parametrize(
     "name",
     [
@@ -298,6 +300,7 @@ def test_a_file_names_no_checkpoint_outside_of_its_folder(tmp_path, name):
     assert f"followers.learned.checkpoint = '{name}': must be in the folder of the" in message
 
 
+@needs_links
 def test_a_circle_of_links_ends(tmp_path):
     (tmp_path / "circle").symlink_to("circle")
     path = written(tmp_path, "followers: {learned: {checkpoint: circle/final.pt}}\n")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from systems import needs, needs_links
 
 from marl_lanes.scenario import yaml_files
 from marl_lanes.scenario.yaml_files import (
@@ -204,6 +205,8 @@ def test_the_parser_without_c_reads_the_same(monkeypatch):
     assert TOO_DEEP in error_of("[" * 2000)
 
 
+@needs("mkfifo")
+@needs_links
 def test_only_regular_files_are_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "circle").symlink_to("circle")

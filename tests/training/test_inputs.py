@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 from configs import typed
+from systems import needs_links
 
 from marl_lanes import load_scenario
 from marl_lanes.scenario import ScenarioError
@@ -115,6 +116,7 @@ def test_a_scenario_that_is_not_valid_is_refused(run):
         read_scenario(run)
 
 
+@needs_links
 def test_a_link_out_of_the_folder_is_refused(run):
     (run / "checkpoints").symlink_to("/etc")
     with pytest.raises(ConfigError, match="checkpoints: must be a file or a folder of its own"):

@@ -1,11 +1,13 @@
 """Ctrl-C, SIGTERM and SIGHUP: noted once, effective at once the second time, ignored in workers."""
 
-import os
+import importlib.util
 import signal
+import sys
 import threading
 
 import pytest
 
+from marl_lanes.training import interruptions
 from marl_lanes.training.interruptions import SIGNALS, ignore_interruptions, note_interruptions
 
 
@@ -25,9 +27,9 @@ def handlers():
 def interrupt_twice(number):
     with note_interruptions() as received:
         assert received == []
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
         assert received == [number]
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
         pytest.fail("the second one is ignored")
 
 
@@ -48,7 +50,7 @@ def test_without_one_nothing_is_noted(handlers):
 def test_a_worker_ignores_both():
     ignore_interruptions()
     for number in SIGNALS:
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
     assert [signal.getsignal(one) for one in SIGNALS] == [signal.SIG_IGN] * 3
 
 
@@ -57,9 +59,9 @@ def test_what_the_process_ignores_it_goes_on_ignoring(number):
     """As SIGHUP under nohup."""
     signal.signal(number, signal.SIG_IGN)
     with note_interruptions() as received:
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
         others = [one for one in SIGNALS if one != number]
-        os.kill(os.getpid(), others[0])
+        signal.raise_signal(others[0])
     assert received == others[:1]
     assert signal.getsignal(number) == signal.SIG_IGN
 
@@ -86,3 +88,13 @@ def test_in_another_thread_nothing_is_noted(handlers):
     thread.join()
     assert found == [[]]
     assert [signal.getsignal(one) for one in SIGNALS] == handlers
+
+
+def test_on_windows_a_closed_terminal_sends_sigbreak(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setattr(signal, "SIGBREAK", 21, raising=False)
+    monkeypatch.delattr(signal, "SIGHUP", raising=False)
+    spec = importlib.util.spec_from_file_location("there", interruptions.__file__)
+    there = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(there)
+    assert there.SIGNALS == (signal.SIGINT, signal.SIGTERM, 21)

@@ -9,6 +9,7 @@ import pyarrow.parquet
 import pytest
 import recordings
 from damage import assert_read_as_it_was_or_refused
+from systems import needs
 
 from marl_lanes import load_scenario
 from marl_lanes.trajectory.columns import COLUMNS
@@ -185,6 +186,7 @@ def test_other_rows_than_those_recorded_are_refused(file, tmp_path):
     assert read_trajectory(changed(file, tmp_path, lambda table: table)).roads == [0]
 
 
+@needs("mkfifo")
 def test_what_is_no_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.parquet")
     for path in (tmp_path / "pipe.parquet", tmp_path):

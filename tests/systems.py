@@ -1,0 +1,34 @@
+"""What some tests need of the operating system; where it lacks that, they are skipped."""
+
+import os
+import shutil
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+
+def needs(*names):
+    """A mark: functions of ``os`` that not every system has."""
+    missing = [name for name in names if not hasattr(os, name)]
+    return pytest.mark.skipif(bool(missing), reason=f"no {', '.join(missing)} in os here")
+
+
+def needs_path(name):
+    """A mark: a device, or a folder of the system."""
+    return pytest.mark.skipif(not Path(name).exists(), reason=f"no {name} here")
+
+
+def _makes_links():
+    """Windows asks for a right to make symbolic links."""
+    with TemporaryDirectory() as folder:
+        link = Path(folder, "link")
+        try:
+            link.symlink_to(folder, target_is_directory=True)
+        except OSError:
+            return False
+        return link.samefile(folder)
+
+
+needs_links = pytest.mark.skipif(not _makes_links(), reason="no symbolic links here")
+needs_shell = pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
