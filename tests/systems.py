@@ -30,5 +30,6 @@ def _makes_links():
         return link.samefile(folder)
 
 
+needs_posix = pytest.mark.skipif(os.name != "posix", reason="POSIX alone")
 needs_links = pytest.mark.skipif(not _makes_links(), reason="no symbolic links here")
 needs_shell = pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from systems import needs, needs_links, needs_path
+from systems import needs, needs_links, needs_path, needs_posix
 
 from marl_lanes import files
 from marl_lanes.files import (
@@ -127,7 +127,7 @@ def windows(monkeypatch):
     return flags
 
 
-@needs("chown")
+@needs_posix
 def test_windows_flushes_what_may_be_written_and_no_folder(tmp_path, windows):
     for text in ("1", "22"):
         write_json(tmp_path / "file.json", text)
@@ -136,7 +136,7 @@ def test_windows_flushes_what_may_be_written_and_no_folder(tmp_path, windows):
 
 
 @pytest.mark.parametrize("is_free", [True, False])
-@needs("chown")
+@needs_posix
 def test_windows_locks_a_byte(tmp_path, windows, monkeypatch, is_free):  # noqa: ARG001
     calls = []
 
@@ -204,7 +204,7 @@ def test_a_circle_of_links_is_refused(tmp_path):
     assert all(link.is_symlink() for link in tmp_path.iterdir())
 
 
-@needs("chown")
+@needs_posix
 @pytest.mark.parametrize("mode", [0o600, 0o640, 0o444, 0o755])
 def test_a_file_keeps_its_mode(tmp_path, mode):
     file = tmp_path / "file.json"
@@ -226,7 +226,7 @@ def test_a_file_keeps_its_owner(tmp_path):
     assert (file.stat().st_uid, file.stat().st_gid) == (1234, 5678)
 
 
-@needs("chown")
+@needs_posix
 def test_a_new_file_has_the_mode_that_the_process_gives(tmp_path):
     before = os.umask(0o027)
     try:

@@ -14,28 +14,28 @@ among its transitions; naf-scratch has none.
 import argparse
 import csv
 import json
-import timeit
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from functools import partial
 from math import ceil, inf
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 import yaml
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from marl_lanes.cli.policies import make_policy
-from marl_lanes.evaluation.driving import Policy
-from marl_lanes.evaluation.intervals import Estimate, estimate_over_seeds
-from marl_lanes.evaluation.metrics import AVERAGES, measure_each
-from marl_lanes.evaluation.rollout import run_maneuvers
-from marl_lanes.evaluation.tables import format_estimate
-from marl_lanes.files import replacing, write_json, write_text
+from marl_lanes.evaluation.comparison import (
+    drive,
+    format_comparison,
+    is_good,
+    measure,
+    summarise,
+    write_rows,
+)
+from marl_lanes.files import write_json
+from marl_lanes.report.documents import check_document, insert_tables
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.studies import Run, carry_out
@@ -65,20 +65,11 @@ DEMONSTRATIONS = 20_000
 DEMONSTRATED = 0.2
 """[1] Largest share of them in all its transitions."""
 
-GOOD_RATIO, GOOD_SUCCESS = 1.15, 0.98
-"""A model counts as good that has this cost ratio at most, and this success rate at least."""
-
 RESULT_FILE = "comparison.json"
 """Of the comparison, and of each run."""
 
 SEED = 1_000_000
 """Of the maneuvers of final models and policies; those of saved models have the next one."""
-
-BATCHES = (1, 64)
-"""Observations in a call of a policy, for the time of a decision."""
-
-TIMED = 0.05
-"""[s] In which decisions are timed together; the fastest of five times counts."""
 
 QUICK = {
     "saved_models": 1,
@@ -95,24 +86,8 @@ QUICK_FIELDS = (
 )
 QUICK_NAF = ("demonstrations.num_updates=20",)
 
-COLUMNS = (
-    ("success_rate", "success [%]", 100.0, 1),
-    ("cost_ratio", "cost ratio", 1.0, 3),
-    ("mean_peak_yaw_acceleration", "yaw acceleration [rad/s²]", 1.0, 3),
-    ("mean_peak_yaw_rate", "yaw rate [rad/s]", 1.0, 4),
-    ("mean_peak_lateral_acceleration", "lateral acceleration [m/s²]", 1.0, 2),
-    ("mean_imposed_on_follower", "imposed on follower [m/s²]", 1.0, 2),
-)
-"""Key of docs/metrics.md, title, factor and decimals."""
-
-FIGURES = (
-    "transitions",
-    "training_seconds",
-    "transitions_to_good",
-    "microseconds_of_1",
-    "microseconds_of_64",
-)
-MARKS = ("<!-- table of agents/baselines/compare.py -->", "<!-- end of the table -->")
+TABLE = "comparison"
+"""Its place in a document, for --docs."""
 
 
 @lenient_streams()
@@ -121,19 +96,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parse(arguments)
     torch.set_num_threads(1)
     with refusing():
-        check_docs(options.docs)
+        if options.docs is not None:
+            check_document(options.docs, [TABLE])
         rows = read_rows(options.output) if options.report else None
     if rows is None:
         rows = compare(options)
     if rows is None:
         print("interrupted; the same command goes on")
         return
-    table = format_table(rows)
+    table = format_comparison(rows)
     print(table)
     if options.docs is not None:
-        before, _, rest = options.docs.read_text(encoding="utf-8").partition(MARKS[0])
-        after = rest.partition(MARKS[1])[2]
-        write_text(options.docs, f"{before}{MARKS[0]}\n{table}\n{MARKS[1]}{after}")
+        insert_tables(options.docs, {TABLE: f"{table}\n"})
 
 
 def compare(options: argparse.Namespace) -> list[dict[str, Any]] | None:
@@ -317,7 +291,7 @@ def measure_task(task: Task, options: argparse.Namespace) -> dict[str, Any]:
     scenario = load_scenario(options.scenario)
     if task.folder is not None:
         return measure_run(task.folder, scenario, options)
-    return measure(make_policy(task.name, scenario, SEED), scenario, options)
+    return measure(make_policy(task.name, scenario, SEED), scenario, options.maneuvers, SEED)
 
 
 def measure_run(folder: Path, scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
@@ -330,7 +304,7 @@ def measure_run(folder: Path, scenario: Scenario, options: argparse.Namespace) -
             return kept
     checkpoints = folder / CHECKPOINTS_FOLDER
     final = make_policy(str(checkpoints / FINAL_MODEL), scenario, SEED)
-    found = measure(final, scenario, options) | {"asked": asked}
+    found = measure(final, scenario, options.maneuvers, SEED) | {"asked": asked}
     config = yaml.safe_load((folder / CONFIG_FILE).read_text(encoding="utf-8"))
     demonstrated = config.get("demonstrations", {"num_transitions": 0})["num_transitions"]
     found["transitions_to_good"] = None
@@ -344,137 +318,6 @@ def measure_run(folder: Path, scenario: Scenario, options: argparse.Namespace) -
         found["transitions"] = int([*csv.DictReader(file)][-1]["transitions"]) + demonstrated
     write_json(path, found)
     return found
-
-
-def is_good(columns: Mapping[str, Any]) -> bool:
-    """Whether the maneuvers are cheap and succeed: the cost of a few that complete says nothing."""
-    if np.mean(columns["success_rate"]) < GOOD_SUCCESS:
-        return False
-    costs = np.array([columns["return"], columns["optimal_return"]], np.float64)
-    total, least = costs[:, np.isfinite(costs).all(axis=0)].sum(axis=1)
-    return bool(total >= GOOD_RATIO * least)
-
-
-def measure(policy: Policy, scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
-    """Each maneuver's metrics, and the time of a decision [us]."""
-    seen: list[NDArray[np.float32]] = []
-
-    def watch(observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        if sum(map(len, seen)) < max(BATCHES):
-            seen.append(observations.copy())
-        return policy(observations)
-
-    columns = drive(watch, scenario, options.maneuvers, SEED)
-    observations = np.concatenate(seen)
-    times = {}
-    for size in BATCHES:
-        rows = np.resize(observations, (size, observations.shape[1]))
-        timer = timeit.Timer(lambda rows=rows: policy(rows))  # type: ignore[misc]
-        timer.timeit(3)
-        number = ceil(TIMED / timer.timeit(1))
-        times[f"microseconds_of_{size}"] = 1e6 * min(timer.repeat(5, number)) / number
-    return {"maneuvers": columns, **times}
-
-
-def drive(policy: Policy, scenario: Scenario, number: int, seed: int) -> dict[str, list[Any]]:
-    """The road of each maneuver, and its metrics; None where one is not defined."""
-    maneuvers = run_maneuvers(scenario, policy, number, seed=seed)
-    measured, _ = measure_each(maneuvers, scenario)
-    keys = [key for key, *_ in COLUMNS if key in AVERAGES]
-    values: dict[str, list[float]] = {key: [*map(AVERAGES[key], measured)] for key in keys}
-    values["return"] = [row.return_ for row in measured]
-    values["optimal_return"] = [row.optimal_return for row in measured]
-    found = {
-        key: [value if np.isfinite(value) else None for value in column]
-        for key, column in values.items()
-    }
-    return {"road": [one.env for one in maneuvers], **found}
-
-
-def estimate(seeds: Sequence[Mapping[str, Any]], key: str, divisor: str | None = None) -> Estimate:
-    """Mean of a column over all maneuvers of all seeds, or the ratio of two columns' sums."""
-    samples = []
-    for columns in seeds:
-        upper = columns[key]
-        lower = [1.0] * len(upper) if divisor is None else columns[divisor]
-        samples.append((upper, lower, columns["road"]))
-    return estimate_over_seeds(samples, is_rate=key.endswith("_rate"))
-
-
-def summarise(name: str, budget: str, found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The row of an algorithm and a budget, or of a policy without learning."""
-    seeds = [one["maneuvers"] for one in found]
-    row: dict[str, Any] = {"policy": name, "budget": budget, "seeds": len(seeds)}
-    for key, *_ in COLUMNS:
-        columns = ("return", "optimal_return") if key == "cost_ratio" else (key, None)
-        row[key] = asdict(estimate(seeds, *columns))
-    row["success_of_seeds"] = [float(np.mean(one["success_rate"])) for one in seeds]
-    for key in FIGURES:
-        row[key] = [one.get(key) for one in found]
-    return row
-
-
-def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """One line a row; of each metric value, low and high."""
-    flat = []
-    for row in rows:
-        cells: dict[str, Any] = {}
-        for key, value in row.items():
-            if isinstance(value, dict):
-                cells |= {f"{key}_{part}": number for part, number in value.items()}
-            else:
-                cells[key] = " ".join(map(str, value)) if isinstance(value, list) else value
-        flat.append(cells)
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, flat[0])
-        writer.writeheader()
-        writer.writerows(flat)
-
-
-def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The rows in Markdown."""
-    first, *others = (title for _, title, *_ in COLUMNS)
-    titles = ["policy", "budget", first, "by seed", *others]
-    titles += [
-        "transitions",
-        "training [s]",
-        f"transitions to {GOOD_RATIO}",
-        "decision [µs], 1 / 64",
-    ]
-    lines = [titles, ["---"] * len(titles)]
-    for row in rows:
-        estimates = [
-            format_estimate(row[key], factor, decimals) for key, _, factor, decimals in COLUMNS
-        ]
-        one, many = (f"{np.mean(row[f'microseconds_of_{size}']):.0f}" for size in BATCHES)
-        is_trained = bool(row["budget"])
-        needed = ["never" if one is None else f"{one:,}" for one in row["transitions_to_good"]]
-        by_seed, figures = "-", ["-"] * 3
-        if is_trained:
-            by_seed = ", ".join(f"{100.0 * rate:.1f}" for rate in row["success_of_seeds"])
-            figures = [
-                f"{np.mean(row['transitions']):,.0f}",
-                f"{np.mean(row['training_seconds']):.0f}",
-                ", ".join(needed),
-            ]
-        name = row["policy"]
-        success, *others = estimates
-        cells = [name, row["budget"] or "-", success, by_seed, *others, *figures]
-        lines.append([*cells, f"{one} / {many}"])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def check_docs(path: Path | None) -> None:
-    """Refuse a file without the place of the table.
-
-    Raises:
-        OSError, ValueError: it cannot be read, or has no such place.
-    """
-    if path is None:
-        return
-    text = path.read_text(encoding="utf-8")
-    if any(text.count(mark) != 1 for mark in MARKS):
-        raise ValueError(f"--docs {path}: must have the lines {MARKS[0]} and {MARKS[1]} once each")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ ffmpeg is called here, and not through imageio-ffmpeg's writer, because that one
 when ffmpeg fails: half a film would look like a whole one.
 """
 
+import errno
+import os
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -101,7 +103,13 @@ def _piped(
                 raise ValueError(f"picture: {found}: must be uint8 {wanted}")
             left = np.ascontiguousarray(picture).data.cast("B")
             while left:
-                left = left[pipe.write(left) :]
+                try:
+                    left = left[pipe.write(left) :]
+                except OSError as error:
+                    if error.errno == errno.EINVAL:
+                        # What Windows says of a pipe that nobody reads.
+                        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
+                    raise
 
         try:
             yield write

@@ -1,3 +1,5 @@
+import errno
+import io
 import os
 import re
 import signal
@@ -8,6 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from films import describe, read_pictures
+from systems import needs, needs_posix
 
 from marl_lanes.extras import MissingExtraError
 from marl_lanes.rendering import encoding as module
@@ -84,6 +87,7 @@ def test_what_is_interrupted_leaves_what_was_there(tmp_path, suffix):
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
+@needs_posix
 @pytest.mark.parametrize("number", [0, 300])
 def test_an_ffmpeg_that_fails_is_an_error_and_no_file(tmp_path, monkeypatch, number):
     """It ends at once, or only after it has read everything."""
@@ -97,6 +101,7 @@ def test_an_ffmpeg_that_fails_is_an_error_and_no_file(tmp_path, monkeypatch, num
     assert [entry.name for entry in tmp_path.iterdir()] == ["ffmpeg"]
 
 
+@needs_posix
 def test_an_ffmpeg_that_stops_reading_but_says_that_all_is_well_is_an_error(tmp_path, monkeypatch):
     script = tmp_path / "ffmpeg"
     script.write_text("#!/bin/sh\nexit 0\n")
@@ -138,6 +143,27 @@ def test_a_missing_package_is_one_error(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@needs("mkfifo")
+def test_what_windows_says_of_a_broken_pipe_is_one(tmp_path, monkeypatch):
+    class Pipe(io.BytesIO):
+        def write(self, _):
+            raise OSError(errno.EINVAL, "Invalid argument")
+
+    start = subprocess.Popen
+
+    def popen(*given, **options):
+        process = start(*given, **options)
+        process.stdin.close()
+        process.stdin = Pipe()
+        return process
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    with pytest.raises((BrokenPipeError, FilmError)):
+        write(tmp_path / "film.mp4", 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no colons in names")
 def test_a_name_that_looks_like_an_option_or_an_address(tmp_path):
     path = tmp_path / "-y:http:%03d.png"
     write(path, 1)

@@ -70,14 +70,14 @@ def test_intervals_over_few_roads_are_doubted(tmp_path):
 def test_the_commands_can_be_given_to_a_shell(tmp_path):
     run = read_run(make_run(tmp_path / "a run"))
     record, replay, report = map(shlex.split, describe_replays(run, 17))
-    folder = str(tmp_path / "a run")
-    road = f"{folder}/trajectories/road_0017.parquet"
+    folder = tmp_path / "a run"
+    road = str(folder / "trajectories" / "road_0017.parquet")
     assert record == [
-        *("marl-lanes", "record", f"{folder}/checkpoints/final.pt"),
-        *("--scenario", f"{folder}/scenario.yaml"),
+        *("marl-lanes", "record", str(folder / "checkpoints" / "final.pt")),
+        *("--scenario", str(folder / "scenario.yaml")),
         *("--seed", "1000000", "--road", "17", "--out", road),
     ]
     assert replay == [
-        *("marl-lanes", "replay", road, "--out", f"{folder}/replays/road_0017.html"),
+        *("marl-lanes", "replay", road, "--out", str(folder / "replays" / "road_0017.html")),
     ]
-    assert report == ["marl-lanes", "report", folder]
+    assert report == ["marl-lanes", "report", str(folder)]

@@ -9,6 +9,7 @@ import sys
 
 import pytest
 import torch
+from systems import needs
 
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.naf.checkpoint import CheckpointError
@@ -181,6 +182,7 @@ def test_a_folder_with_a_run_is_refused(tmp_path):
         RunFolder(tmp_path, LEARNED, extents={}, until=1)
 
 
+@needs("fork")
 def test_a_folder_in_which_another_process_trains_is_refused(tmp_path):
     """Until that process ends in whatever way; what it has forked does not matter."""
     program = (

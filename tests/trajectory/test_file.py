@@ -117,9 +117,8 @@ def test_an_empty_recording_can_be_kept(tmp_path):
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(
-        TrajectoryError, match=r"trajectory .*none\.parquet: cannot be read: No such"
-    ):
+    # The rest is the system's.
+    with pytest.raises(TrajectoryError, match=r"trajectory .*none\.parquet: cannot be read: \w"):
         read_trajectory(tmp_path / "none.parquet")
 
 
