@@ -25,9 +25,9 @@ def _makes_links():
         link = Path(folder, "link")
         try:
             link.symlink_to(folder, target_is_directory=True)
+            return link.samefile(folder)
         except OSError:
             return False
-        return link.samefile(folder)
 
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="POSIX alone")

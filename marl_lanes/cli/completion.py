@@ -2,6 +2,7 @@
 
 import argparse
 import os
+from typing import Any
 
 from marl_lanes.cli.arguments import Commands, add_command
 from marl_lanes.terminal import say
@@ -36,7 +37,11 @@ def answer(parser: argparse.ArgumentParser) -> None:
     if "_ARGCOMPLETE" in os.environ:
         from argcomplete import autocomplete
 
-        autocomplete(parser)
+        from marl_lanes.cli.completers import files
+
+        # Any function will do, whatever its types say.
+        offer: Any = lambda prefix, **_: files(prefix)  # noqa: E731
+        autocomplete(parser, default_completer=offer)
 
 
 def _show_script(options: argparse.Namespace) -> None:

@@ -50,6 +50,9 @@ def _reshape(action: Any, shape: tuple[int, ...]) -> Any:
     """The action in the shape where that is possible; what is wrong is left as it is."""
     if hasattr(action, "detach"):
         action = action.detach()
+        if str(action.dtype) == "torch.bfloat16":
+            # numpy has no such numbers; these are as exact.
+            action = action.float()
     if isinstance(action, np.ma.MaskedArray):
         return action
     try:

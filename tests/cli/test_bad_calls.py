@@ -37,7 +37,10 @@ def test_a_bad_call_is_one_line_and_nothing_is_driven_or_written(
     monkeypatch.chdir(folder)
     monkeypatch.setattr("marl_lanes.traffic.host.run", drive)
     before = listing(folder)
+    has_links = (folder / "loop").is_symlink()
     for arguments, fragments in calls:
+        if "loop" in arguments and not has_links:
+            continue
         status = main(arguments)
         captured = capsys.readouterr()
         call = f"{shown(arguments)}: {captured.err}"
@@ -47,7 +50,7 @@ def test_a_bad_call_is_one_line_and_nothing_is_driven_or_written(
         assert captured.err.count("\n") == 1, call
         assert captured.err.isprintable() or captured.err[:-1].isprintable(), call
         assert len(captured.err) < MAX_LINE, call
-        told = captured.err.replace(os.sep, "/")
+        told = captured.err + captured.err.replace(os.sep, "/")
         assert [one for one in fragments if one not in told] == [], call
         assert listing(folder) == before, call
 

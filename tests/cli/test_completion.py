@@ -37,9 +37,9 @@ def answered(monkeypatch, line):
     monkeypatch.setenv("COMP_POINT", str(len(line)))
     out = io.StringIO()
 
-    def autocomplete(parser):
+    def autocomplete(parser, **options):
         finder = argcomplete.CompletionFinder()
-        finder(parser, exit_method=lambda _: None, output_stream=out)
+        finder(parser, exit_method=lambda _: None, output_stream=out, **options)
 
     # It would open the descriptor 9, which is not the shell's here.
     monkeypatch.setattr(os, "fdopen", raise_error)

@@ -18,6 +18,7 @@ from marl_lanes.envs.actions import read_action, scale_action
         [[0.25]],
         torch.tensor(0.25),
         torch.tensor([[0.25]], requires_grad=True),
+        torch.tensor(0.25, dtype=torch.bfloat16),
     ],
 )
 def test_an_action_of_one_number_has_any_shape(action):
