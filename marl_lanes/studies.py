@@ -174,8 +174,11 @@ def _start(run: Run, program: Path, folder: Path) -> subprocess.Popen[bytes]:
 def _interrupt(running: Mapping[str, subprocess.Popen[bytes]]) -> None:
     for process in running.values():
         if sys.platform == "win32":
-            # There terminate() ends it at once.
-            process.send_signal(signal.CTRL_BREAK_EVENT)
+            try:
+                process.send_signal(signal.CTRL_BREAK_EVENT)
+            except OSError:
+                # Without a console nothing can ask it: it goes on from what it has saved.
+                process.terminate()
         else:
             # SIGINT is ignored by all that a shell has put into the background.
             process.terminate()

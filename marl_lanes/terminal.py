@@ -1,5 +1,6 @@
 """What programs print: never the reason that their work is lost."""
 
+import errno
 import io
 import os
 import sys
@@ -37,11 +38,16 @@ def say(text: str) -> None:
     """
     try:
         print(text, flush=True)  # noqa: T201
-    except BrokenPipeError:
-        _discard(sys.stdout)
     except OSError as error:
         _discard(sys.stdout)
-        raise OSError(f"standard output: {error.strerror}") from None
+        if not is_broken_pipe(error):
+            raise OSError(f"standard output: {error.strerror}") from None
+
+
+def is_broken_pipe(error: OSError) -> bool:
+    """Whether nobody reads what was written: Windows says EINVAL of a pipe that it finds broken."""
+    is_invalid = sys.platform == "win32" and error.errno == errno.EINVAL
+    return isinstance(error, BrokenPipeError) or is_invalid
 
 
 def warn(text: str) -> None:

@@ -189,11 +189,21 @@ def test_on_windows_a_training_is_asked_to_end_and_is_not_killed(monkeypatch):
     spec = importlib.util.spec_from_file_location("there", studies.__file__)
     there = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(there)
-    sent = []
+    sent, ended = [], []
 
     class Process:
         send_signal = sent.append
 
-    there._interrupt({"one": Process()})
+    class Lonely:
+        """There is no console."""
+
+        def send_signal(self, _):
+            raise OSError
+
+        def terminate(self):
+            ended.append(self)
+
+    lonely = Lonely()
+    there._interrupt({"one": Process(), "other": lonely})
     assert there._APART == {"creationflags": 512}
-    assert sent == [1]
+    assert (sent, ended) == ([1], [lonely])

@@ -5,9 +5,9 @@ import io
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from systems import needs_path, needs_posix
 
 from marl_lanes.terminal import lenient_streams, prepare_streams, say
 
@@ -35,7 +35,7 @@ def test_what_an_encoding_lacks_is_escaped(monkeypatch, encoding):
     for stream in (sys.stdout, sys.stderr):
         stream.write(f"{NAME}\n")
         stream.flush()
-        shown = stream.buffer.getvalue().decode(encoding)
+        shown = stream.buffer.getvalue().decode(encoding).replace(os.linesep, "\n")
         lacks = {"ascii": ESCAPED, "cp1252": "räum \\udcff \\u8eca", "utf-8": "räum \\udcff 車"}
         assert shown == lacks[encoding] + "\n"
 
@@ -49,7 +49,19 @@ def test_a_reader_that_has_left_is_no_error(output):
         sys.stdout.write("three")
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device")
+def test_windows_says_of_such_a_pipe_that_something_is_invalid(monkeypatch):
+    class Pipe(io.StringIO):
+        def write(self, _):
+            raise OSError(errno.EINVAL, "Invalid argument")
+
+    monkeypatch.setattr(sys, "stdout", Pipe())
+    with pytest.raises(OSError, match=r"^standard output: Invalid argument$"):
+        say("one")
+    monkeypatch.setattr(sys, "platform", "win32")
+    say("two")
+
+
+@needs_path("/dev/full")
 def test_a_full_disk_is_one(output):
     with output(os.open("/dev/full", os.O_WRONLY)):
         with pytest.raises(OSError, match=r"^standard output: No space left on device$"):
@@ -70,6 +82,7 @@ assert new > 2, new
 """
 
 
+@needs_posix
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_streams_that_are_closed_lead_nowhere(tmp_path, closed):
     """The next file that is opened does not get what is printed."""
@@ -93,6 +106,7 @@ with lenient_streams():
 
 
 @pytest.mark.slow
+@needs_posix
 @pytest.mark.parametrize("redirection", ["2>&-", ">&-", "2>&1 | head -1", "2>/dev/full"])
 def test_what_becomes_of_the_streams_ends_nothing(tmp_path, redirection):
     command = f'set -o pipefail; "{sys.executable}" -W error -c "$TALK" {redirection}'

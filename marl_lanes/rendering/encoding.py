@@ -20,6 +20,7 @@ import numpy as np
 from marl_lanes.extras import need
 from marl_lanes.files import replacing
 from marl_lanes.rendering.painter import Picture
+from marl_lanes.terminal import is_broken_pipe
 
 Write = Callable[[Picture], None]
 """Adds a frame."""
@@ -106,8 +107,7 @@ def _piped(
                 try:
                     left = left[pipe.write(left) :]
                 except OSError as error:
-                    if error.errno == errno.EINVAL:
-                        # What Windows says of a pipe that nobody reads.
+                    if is_broken_pipe(error):
                         raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
                     raise
 

@@ -39,7 +39,7 @@ def test_a_bad_call_is_one_line_and_nothing_is_driven_or_written(
     before = listing(folder)
     has_links = (folder / "loop").is_symlink()
     for arguments, fragments in calls:
-        if "loop" in arguments and not has_links:
+        if not has_links and any(one.startswith("loop") for one in arguments):
             continue
         status = main(arguments)
         captured = capsys.readouterr()

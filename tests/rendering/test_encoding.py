@@ -158,6 +158,7 @@ def test_what_windows_says_of_a_broken_pipe_is_one(tmp_path, monkeypatch):
         return process
 
     monkeypatch.setattr(subprocess, "Popen", popen)
+    monkeypatch.setattr(sys, "platform", "win32")
     with pytest.raises((BrokenPipeError, FilmError)):
         write(tmp_path / "film.mp4", 1)
     assert list(tmp_path.iterdir()) == []
