@@ -78,7 +78,9 @@ def _signature(function: Any) -> str:
 def _argument(action: argparse.Action) -> str:
     name = " ".join(action.option_strings) or str(action.metavar or action.dest)
     number = {None: "", 0: " (no value)"}.get(action.nargs, f" ({action.nargs})")
-    return name + number + (", required" if action.required else "")
+    # Whether what may be given no time is required, versions of Python differ.
+    is_required = action.required and action.nargs != "*"
+    return name + number + (", required" if is_required else "")
 
 
 def _fields(kind: type[BaseModel], prefix: str = "") -> Iterator[str]:

@@ -55,6 +55,7 @@ def test_windows_says_of_such_a_pipe_that_something_is_invalid(monkeypatch):
             raise OSError(errno.EINVAL, "Invalid argument")
 
     monkeypatch.setattr(sys, "stdout", Pipe())
+    monkeypatch.setattr(sys, "platform", "linux")
     with pytest.raises(OSError, match=r"^standard output: Invalid argument$"):
         say("one")
     monkeypatch.setattr(sys, "platform", "win32")

@@ -1,5 +1,6 @@
 """Files that a command writes, checked before anything is computed."""
 
+import errno
 import json
 import os
 from collections.abc import Iterable, Sequence
@@ -19,6 +20,9 @@ Outputs = Sequence[tuple[str, Path | None]]
 PRINTED = Path("-")
 """The value of --json that prints the result."""
 
+_MAX_NAME = 255
+"""Characters of a file's name, on every system."""
+
 
 def check_outputs(outputs: Outputs, inputs: Iterable[str | Path | None]) -> None:
     """Reject files that cannot be written, or that would replace another file of the command.
@@ -37,7 +41,10 @@ def check_outputs(outputs: Outputs, inputs: Iterable[str | Path | None]) -> None
             continue
         place = f"{option} {path}" if len(str(path)) < 1000 else f"{option} {shown(str(path))}"
         try:
-            # A name too long, links in a circle.
+            # Windows does not tell it before the file is written.
+            if len(path.name) > _MAX_NAME:
+                raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
+            # A name of too many bytes, links in a circle.
             with suppress(FileNotFoundError, NotADirectoryError):
                 path.stat()
             target = path.resolve()

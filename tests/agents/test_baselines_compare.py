@@ -14,6 +14,7 @@ from marl_lanes.training.checkpoint import make_actor_network, save_checkpoint
 
 FOLDER = Path(__file__).parents[2] / "agents"
 PROGRAM = FOLDER / "baselines" / "compare.py"
+TOTAL = "collector.total_transitions"
 BEGIN, END = "<!-- comparison -->", "<!-- end of comparison -->"
 
 
@@ -36,7 +37,7 @@ def pretend(runs, folder, *, num_processes):
         for name in ("step_000000007.pt", "final.pt"):
             network = make_actor_network(scenario, [4])
             save_checkpoint(path / "checkpoints" / name, network, scenario.name, count)
-        write_json(path / "training.json", {"seconds_training": 0.05})
+        write_json(path / "training.json", {"seconds_training": count / 8000})
         demonstrated = given.get("demonstrations.num_transitions", 0)
         text = f"demonstrations: {{num_transitions: {demonstrated}}}\n"
         (path / "config.yaml").write_text(text, "utf-8")
@@ -107,10 +108,41 @@ def test_without_seconds_there_is_one_budget(program, tmp_path, monkeypatch):
     arguments = program.parse([*options, "--transitions", "1000", "--seconds", "0"])
     found = program.train(arguments)
     assert [*found] == [("naf", "1000 transitions"), ("ippo", "1000 transitions")]
-    # A minute for the 800 that were collected in 0.05 s, and again as many demonstrations.
+    # A minute for the 800 that were collected in 0.1 s, and again as many demonstrations.
     run = program.plan(arguments, "naf", 0, "transitions", 1000)
     arguments.seconds = 60.0
-    assert program.count_affordable(arguments, "naf", run) == 200 + 960_000
+    assert program.count_affordable(arguments, "naf", run, 1000) == 200 + 480_000
+
+
+def test_a_training_that_took_other_seconds_is_trained_again_at_its_own_speed(
+    program, tmp_path, monkeypatch
+):
+    """Other programs ran beside the first training of one seed, not of the other."""
+    options = program.parse(["--output", str(tmp_path), "--seconds", "10"])
+    speeds = {"ippo-transitions-0": 50.0, "ippo-transitions-1": 100.0}
+
+    def carry_out(runs, folder, *, num_processes):
+        assert num_processes == 1
+        for run in runs:
+            count = int(dict(one.split("=") for one in run.arguments[1:])[TOTAL])
+            (folder / run.name).mkdir(exist_ok=True)
+            seconds = count / speeds.get(run.name, 100.0)
+            write_json(folder / run.name / "training.json", {"seconds_training": seconds})
+        return True
+
+    monkeypatch.setattr(program, "carry_out", carry_out)
+    first = {}
+    for seed in (0, 1):
+        first["ippo", seed] = program.plan(options, "ippo", seed, "transitions", 150_000)
+    carry_out(first.values(), tmp_path, num_processes=1)
+    found = program.train_for_seconds(options, first)
+    names = {member: run.name for member, run in found.items()}
+    assert names == {("ippo", 0): "ippo-seconds-again-0", ("ippo", 1): "ippo-seconds-1"}
+    for run in found.values():
+        assert f"{TOTAL}=1000" in run.arguments
+    # One that never takes them is not trained for ever.
+    monkeypatch.setattr(program, "is_in_time", lambda *_: False)
+    assert program.train_for_seconds(options, first)["ippo", 1].name == "ippo-seconds-again-again-1"
 
 
 def test_a_saved_model_is_good_only_if_it_succeeds(program, tmp_path, monkeypatch):
