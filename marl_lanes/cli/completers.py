@@ -76,9 +76,9 @@ def overrides(prefix: str) -> Iterator[str]:
 def files(prefix: str) -> Iterator[str]:
     """Files and folders that begin so; argcomplete would ask bash, which is not everywhere."""
     folder, separator, beginning = prefix.rpartition("/")
-    place = Path(folder + separator).expanduser()
-    with suppress(OSError):
-        for path in sorted(place.iterdir()):
+    # RuntimeError: a user without a home.
+    with suppress(OSError, RuntimeError):
+        for path in sorted(Path(folder + separator).expanduser().iterdir()):
             is_hidden = path.name.startswith(".") and not beginning
             if path.name.startswith(beginning) and not is_hidden:
                 yield f"{folder}{separator}{path.name}{'/' * path.is_dir()}"

@@ -192,7 +192,7 @@ class LaneChangeEnv(Closes, EnvBase):
         super().__setstate__(state)
         if self._is_drawn:
             # Collectors and vector environments copy one that has not been used.
-            self.simulator.seed()
+            self._set_seed(None)
             self._process = os.getpid()
 
     def restore(self, snapshot: bytes) -> None:
@@ -301,7 +301,7 @@ class LaneChangeEnv(Closes, EnvBase):
                 mask = mask.cpu().numpy()
         if self._is_drawn and os.getpid() != self._process:
             # They may fork, too.
-            self.simulator.seed()
+            self._set_seed(None)
         self._is_drawn = False
         with self._streamed():
             if mask is not None or not self._is_restored:

@@ -44,6 +44,7 @@ def test_files_are_offered_from_their_folder(monkeypatch, tmp_path):
     assert list(completers.files("runs/on")) == ["runs/one/", "runs/one.pt"]
     assert list(completers.files("runs/.h")) == ["runs/.hidden"]
     assert list(completers.files("absent/x")) == []
+    assert list(completers.files("~nobody-of-this-name/x")) == []
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("USERPROFILE", str(tmp_path))
     assert list(completers.files("~/ru")) == ["~/runs/", "~/rush.yaml"]
