@@ -17,6 +17,7 @@ from optima import (
     scenario_of,
 )
 
+from marl_lanes import load_scenario
 from marl_lanes.evaluation import optimum as module
 from marl_lanes.evaluation.optimum import optimal_lane_change
 from marl_lanes.evaluation.replay import DEVIATION, LATERAL_SPEED, YAW_RATE
@@ -62,6 +63,28 @@ def test_known_returns(speed, completion, expected, num_steps):
     assert abs(optimum.num_steps - num_steps) <= 1  # The cost is flat there.
     assert optimum.yaw_acceleration.shape == (optimum.num_steps,)
     assert optimum.yaw_acceleration.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("speed", "expected", "num_steps"),
+    [
+        (np.full(300, 0.6), -15.276, 172),
+        (np.full(300, 1.0), -13.003, 163),
+        (np.full(300, 2.0), -10.304, 131),
+        (np.full(300, 3.0), -8.947, 115),
+        (np.full(300, 4.0), -8.082, 104),
+        # Out of a queue: from the path of lane keeping alone -116.07, -120.02 and -8.53 were found.
+        (0.58 + 0.18 * np.arange(109), -7.1665, 89),
+        (0.58 + 0.2 * np.arange(109), -6.9780, 86),
+        (np.maximum(0.58, 0.15 * np.arange(109) - 0.62), -8.0058, 98),
+        # Here two solutions of one duration alternate.
+        (0.58 + 0.15 * np.arange(109), -7.5018, 92),
+    ],
+)
+def test_from_near_standstill_it_is_found_as_well(speed, expected, num_steps):
+    optimum = optimal_lane_change(load_scenario("five_lanes"), speed, deviation=3.75)
+    assert optimum.total_return == pytest.approx(expected, rel=1e-4)
+    assert optimum.num_steps == num_steps
 
 
 @ENDS
