@@ -1,7 +1,6 @@
 """What some tests need of the operating system; where it lacks that, they are skipped."""
 
 import os
-import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -33,4 +32,3 @@ def _makes_links():
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="POSIX alone")
 needs_links = pytest.mark.skipif(not _makes_links(), reason="no symbolic links here")
-needs_shell = pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")

@@ -73,5 +73,5 @@ def test_what_may_come_next_is_offered(monkeypatch, tmp_path, line, offered):
 
 def test_nothing_is_answered_that_no_shell_has_asked(monkeypatch):
     monkeypatch.delenv("_ARGCOMPLETE", raising=False)
-    monkeypatch.setattr(argcomplete, "autocomplete", lambda _: pytest.fail("asked"))
+    monkeypatch.setattr(argcomplete, "autocomplete", lambda *_, **__: pytest.fail("asked"))
     completion.answer(make_parser())
