@@ -94,6 +94,7 @@ class Anticipation:
         mix = self.scenario.drivers.mix
         profile = self.scenario.drivers.profiles[max(mix, key=mix.__getitem__)]
         scale = 2.0 * sqrt(profile.max_acceleration * profile.comfortable_braking)
-        desired = profile.minimum_gap + speed * (profile.time_headway + closing / scale)
+        dynamic = speed * (profile.time_headway + closing / scale)
+        desired = profile.minimum_gap + np.maximum(dynamic, 0.0)
         share = sqrt(1.0 + rule.safe_braking / profile.max_acceleration)
         return np.maximum(desired / share, rule.minimum_gap)

@@ -195,15 +195,25 @@ def steer_by_cascade(
         yaw acceleration, (..., 1), within a_max [rad/s^2]; and the input of S as a share of the
         threshold, (..., 1), clipped to [-1, 1].
     """
-    limit, time, lateral_limit, lag, damping, threshold = gains
+    return _turn(_outer_loop(speed, deviation, yaw, gains), relative_yaw_rate, gains)
+
+
+def _outer_loop(speed: Tensor, deviation: Tensor, yaw: Tensor, gains: CascadeGains[Gain]) -> Tensor:
+    """w_ref, the yaw rate that leads to the centre, (..., 1) [rad/s]."""
     speed = speed.clamp(min=1.0)
     # Divided by T twice, so that the square of a large T does not overflow.
-    wanted = (deviation / time - 2.0 * damping * speed * yaw) / time
-    reference = lateral_limit * torch.tanh(wanted / lateral_limit) / speed
-    demand = (reference - relative_yaw_rate) / lag
-    beyond = torch.sign(demand) * torch.relu(demand.abs() - threshold)
-    share = (demand / (threshold + LEAST_THRESHOLD)).clamp(-1.0, 1.0)
-    return limit * torch.tanh(beyond / limit), share
+    wanted = (deviation / gains.time - 2.0 * gains.damping * speed * yaw) / gains.time
+    return gains.lateral_limit * torch.tanh(wanted / gains.lateral_limit) / speed
+
+
+def _turn(
+    reference: Tensor, relative_yaw_rate: Tensor, gains: CascadeGains[Gain]
+) -> tuple[Tensor, Tensor]:
+    """The yaw acceleration toward w_ref [rad/s^2], and the input of S as a share, (..., 1) each."""
+    demand = (reference - relative_yaw_rate) / gains.lag
+    beyond = torch.sign(demand) * torch.relu(demand.abs() - gains.threshold)
+    share = (demand / (gains.threshold + LEAST_THRESHOLD)).clamp(-1.0, 1.0)
+    return gains.limit * torch.tanh(beyond / gains.limit), share
 
 
 class CascadeMu(_YawAcceleration):
@@ -284,13 +294,17 @@ class SmoothCascadeMu(CascadeMu):
 
 
 class GatedCascadeMu(CascadeMu):
-    """The cascade toward a share of the deviation, 0 to 1, from one more network, initially 0.98.
+    """The cascade and straight on, mixed with a share g from one more network, initially 0.98.
 
-    With the share 0 the vehicle goes straight on, within the threshold. So a policy can wait in its
-    lane where it foresees that a change would be aborted. A change has begun below BEGINS_AT and
-    wholly below ALL_BEGUN_AT, linearly between: from there on the share is 1, and the gains see the
-    own motion alone (`needs`). So whatever is learned, a change that has begun arrives, and what
-    others do, however strange, does not change how it steers.
+    w_ref = g w_ref(deviation) + (1 - g) w_ref(0). With the share 0 the vehicle goes straight on,
+    within the threshold. So a policy can wait in its lane where it foresees that a change would be
+    aborted. The share is outside of the tanh in w_ref: inside, where this is saturated, it would
+    have no gradient, and no gate would learn to close.
+
+    A change has begun below BEGINS_AT and wholly below ALL_BEGUN_AT, linearly between: from there
+    on the share is 1, and the gains see the own motion alone (`needs`). So whatever is learned, a
+    change that has begun arrives, and what others do, however strange, does not change how it
+    steers.
     """
 
     BEGINS_AT, ALL_BEGUN_AT = 3.6, 3.3
@@ -299,7 +313,7 @@ class GatedCascadeMu(CascadeMu):
     initial_share = 0.98
     others: Tensor
     sharpness = 5.0
-    """Of the gate, because a change with half of the deviation is dearer than a change or none."""
+    """Of the gate, because half a turn is dearer than a change or none."""
 
     def __init__(
         self, name: str, features: Sequence[str], box: ActionBox, hidden_sizes: Sequence[int]
@@ -316,9 +330,12 @@ class GatedCascadeMu(CascadeMu):
         begun = (self.BEGINS_AT - deviation) / (self.BEGINS_AT - self.ALL_BEGUN_AT)
         begun = begun.clamp(0.0, 1.0)
         share = torch.sigmoid(self.sharpness * self.gate(normalised))
-        wanted = deviation * torch.lerp(share, torch.ones_like(share), begun)
+        share = torch.lerp(share, torch.ones_like(share), begun)
         gains = self.gains(speed, normalised * (1.0 - begun * self.others))
-        return steer_by_cascade(speed, wanted, yaw, yaw_rate - curvature * speed, gains)
+        straight = _outer_loop(speed, torch.zeros_like(deviation), yaw, gains)
+        across = _outer_loop(speed, deviation, yaw, gains)
+        reference = torch.lerp(straight, across, share)
+        return _turn(reference, yaw_rate - curvature * speed, gains)
 
 
 def _logit(share: float) -> float:

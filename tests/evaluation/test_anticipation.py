@@ -24,14 +24,20 @@ def column(*values):
 
 
 def test_the_gap_is_that_of_the_gap_rule():
-    """-b_safe = a_m (1 - (s*/s)^2), s* = s0 + v T + v dv/(2 sqrt(a_m b)), never below d_min."""
+    """-b_safe = a_m (1 - (s*/s)^2), s* = s0 + max(0, v T + v dv/(2 sqrt(a_m b)))."""
     foresight = Anticipation(INTERACTIVE, 1.0)
-    gap = foresight.needed_gap(column(25.0, 25.0, 2.0), column(0.0, 4.0, -8.0))
-    wanted = (5.0 + 25.0, 5.0 + 25.0 + 25.0 * 4.0 / (2.0 * math.sqrt(3.0)), 0.0)
+    gap = foresight.needed_gap(column(25.0, 25.0, 25.0), column(0.0, 4.0, -8.0))
+    # A follower that falls back fast keeps s0.
+    wanted = (5.0 + 25.0, 5.0 + 25.0 + 25.0 * 4.0 / (2.0 * math.sqrt(3.0)), 5.0)
     for found, desired in zip(gap, wanted, strict=True):
-        assert found == pytest.approx(max(desired / math.sqrt(3.0), 2.0))
-        if desired:
-            assert 2.0 * (1.0 - (desired / found) ** 2) == pytest.approx(-4.0)
+        assert found == pytest.approx(desired / math.sqrt(3.0))
+        assert 2.0 * (1.0 - (desired / found) ** 2) == pytest.approx(-4.0)
+
+
+def test_the_gap_is_never_below_the_least_of_the_rule():
+    close = load_scenario(INTERACTIVE, {"gap": {"minimum_gap": 4.0}})
+    gap = Anticipation(close, 1.0).needed_gap(column(25.0, 0.0), column(-8.0, 0.0))
+    assert gap == pytest.approx([4.0, 4.0])
 
 
 def test_the_gap_is_that_of_the_most_common_driver():

@@ -256,10 +256,36 @@ def test_a_begun_change_opens_the_gate(deviation, share, monkeypatch):
     monkeypatch.setattr(mu, "gains", lambda *_: TUNED_CASCADE)
     with torch.no_grad():
         mu.gate.last_bias.fill_(0.0)
-    seen = state(speed=20.0, lateral_deviation=deviation, yaw=0.02, yaw_rate=0.01)
-    columns = (torch.tensor([value]) for value in (20.0, share * deviation, 0.02, 0.01))
-    wanted, _ = steer_by_cascade(*columns, TUNED_CASCADE)
-    assert mu(seen, torch.zeros_like(seen)).item() == pytest.approx(wanted.item(), rel=0.01)
+    yaw = 0.02
+    a_top, time, zeta = 0.58, 1.38, 0.775
+    across, straight = (
+        a_top / 20.0 * math.tanh((one / time - 2.0 * zeta * 20.0 * yaw) / time / a_top)
+        for one in (deviation, 0.0)
+    )
+    # The yaw rate that is wanted, at which the cascade does not turn.
+    rate = share * across + (1.0 - share) * straight
+    for beyond in (-0.02, 0.0, 0.02):
+        seen = state(speed=20.0, lateral_deviation=deviation, yaw=yaw, yaw_rate=rate - beyond)
+        demand = beyond / TUNED_CASCADE.lag
+        wanted = math.copysign(max(abs(demand) - TUNED_CASCADE.threshold, 0.0), demand)
+        wanted = TUNED_CASCADE.limit * math.tanh(wanted / TUNED_CASCADE.limit)
+        found = mu(seen, torch.zeros_like(seen)).item()
+        assert found == pytest.approx(wanted, rel=0.01, abs=1e-6)
+
+
+def test_a_gate_learns_to_close_where_the_cascade_is_saturated():
+    """The slope of the action by the gate is that of an open way and a closed one."""
+    mu = make_network("cascade-gated").mu
+    with torch.no_grad():
+        mu.gate.last_bias.fill_(0.0)
+        mu.heads.last_bias[2].fill_(-1e30)  # the smallest a_top, 0.3 m/s^2
+    seen = state(speed=20.0, lateral_deviation=3.75, yaw=0.0, yaw_rate=-0.005)
+    share = torch.sigmoid(mu.sharpness * mu.gate(torch.zeros_like(seen)))
+    action = mu(seen, torch.zeros_like(seen))
+    (slope,) = torch.autograd.grad(action.sum(), mu.gate.last_bias)
+    # Of w_ref by g, a_top / v, over the lag, with the slope of g.
+    expected = 0.3 / 20.0 / 0.10 * mu.sharpness * (share * (1.0 - share)).item()
+    assert slope.item() == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize("poles", [-1e30, 1e30])
