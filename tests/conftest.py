@@ -9,7 +9,7 @@ import sys
 import pytest
 
 # Their assertions show values, as those of test files do.
-pytest.register_assert_rewrite("comparing", "staging")
+pytest.register_assert_rewrite("browser.replays", "comparing", "envs.showing", "staging")
 # Tests run in as many processes as there are cores: torch gets one thread in each.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 

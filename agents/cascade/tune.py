@@ -20,8 +20,8 @@ from marl_lanes.naf.lateral import TUNED_CASCADE, CascadeGains, steer_by_cascade
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.terminal import lenient_streams
+from marl_lanes.traffic.placement import bytes_of_road
 from marl_lanes.traffic.roles.changer import CHANGER
-from marl_lanes.traffic.simulator import bytes_of_road
 from marl_lanes.training.command_line import Parser, refusing
 
 LOWEST = CascadeGains(limit=0.2, time=0.8, lateral_limit=0.3, lag=0.08, damping=0.4, threshold=0.0)

@@ -11,31 +11,28 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from marl_lanes.envs.closing import Closes
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.envs.gpu_exchange import Exchange, check_device
 from marl_lanes.envs.sizes import bytes_of_batched_road
+from marl_lanes.envs.specs import ENDS, make_specs
 from marl_lanes.envs.tensordict_internals import make_tensordict
 from marl_lanes.envs.timing import timed
-from marl_lanes.envs.vehicle_table import read_vehicle_tables, state_bounds
+from marl_lanes.envs.vehicle_table import read_vehicle_tables
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, load_scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.arguments import check_flag, check_whole
-from marl_lanes.traffic.machine.state import Outcome
 from marl_lanes.traffic.readout import Columns, read_changers, read_followers
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
-from marl_lanes.traffic.roles.role import Bounds
 from marl_lanes.traffic.simulator import Simulator
 
 if TYPE_CHECKING:
     from marl_lanes.envs.rendering import Renderer, View
 
-_ENDS = ("done", "terminated", "truncated")
 _CPU = torch.device("cpu")
 
 
@@ -181,7 +178,7 @@ class LaneChangeEnv(Closes, EnvBase):
         self._renderers: dict[int, Renderer] = {}
         if render_mode is not None:
             self._find_renderer(0)
-        self._make_specs()
+        self._set_specs()
 
     @property
     def initial_seed(self) -> int:
@@ -238,59 +235,16 @@ class LaneChangeEnv(Closes, EnvBase):
             self._renderers[road] = Renderer(self.simulator, road, self._view)
         return self._renderers[road]
 
-    def _make_specs(self) -> None:
-        num_envs, num_slots = self.simulator.num_envs, self.simulator.num_slots
-        group = (num_envs, num_slots)
-        # Of two categories, as in TorchRL's PettingZooWrapper: a Binary cannot lose a dimension.
-        flag = Categorical(2, shape=(*group, 1), dtype=torch.bool, device=_CPU)
-        mask = Categorical(2, shape=group, dtype=torch.bool, device=_CPU)
-        total = Unbounded((*group, 1), dtype=torch.float32, device=_CPU)
-        seen: dict[str, dict[str, Any]] = {
-            role.group: {
-                "observation": _bounded(role.observation_bounds(self.scenario), group),
-                "mask": mask.clone(),
-                "acting": mask.clone(),
-                "command_reward": total.clone(),
-            }
-            for role in self.roles
-        }
-        seen[CHANGER.group] |= {
-            "steering": mask.clone(),
-            "aborting": mask.clone(),
-            "outcome": Bounded(0, max(Outcome), group, dtype=torch.int64, device=_CPU),
-        }
-        observed = self._grouped(seen)
-        if self.has_state:
-            observed["state"] = _bounded(state_bounds(self.scenario, num_slots), (num_envs,))
-        # With all its leaves: it is moved to the device here.
-        self.observation_spec = observed
-        self.action_spec = self._grouped(
-            {
-                role.group: {"action": _bounded(role.action_bounds(self.scenario), group)}
-                for role in self.roles
-            }
+    def _set_specs(self) -> None:
+        specs = make_specs(
+            self.scenario, self.roles, self.simulator.num_envs, has_state=self.has_state
         )
-        self.reward_spec = self._grouped(
-            {role.group: {"reward": total.clone()} for role in self.roles}
-        )
-        done = Categorical(2, shape=(num_envs, 1), dtype=torch.bool, device=_CPU)
-        self.done_spec = Composite(
-            {
-                **{
-                    name: Composite({key: flag.clone() for key in _ENDS}, shape=group)
-                    for name in self.group_map
-                },
-                **{key: done.clone() for key in _ENDS},
-            },
-            shape=(num_envs,),
-        )
+        self.observation_spec = specs.observation
+        self.action_spec = specs.action
+        self.reward_spec = specs.reward
+        self.done_spec = specs.done
         if self.device is not None:
             self.to(self.device)
-
-    def _grouped(self, groups: Mapping[str, Mapping[str, Any]]) -> Composite:
-        shape = (self.simulator.num_envs, self.simulator.num_slots)
-        inner = {name: Composite(dict(leaves), shape=shape) for name, leaves in groups.items()}
-        return Composite(inner, shape=shape[:1])
 
     @timed
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
@@ -313,7 +267,7 @@ class LaneChangeEnv(Closes, EnvBase):
                 return self._exchange.read(self.device, is_start=True)
         groups = self._read_out()
         for columns in groups.values():
-            for key in ("reward", *_ENDS):
+            for key in ("reward", *ENDS):
                 del columns[key]
         return self._make_tensordict(groups, **self._read_state())
 
@@ -400,13 +354,6 @@ class LaneChangeEnv(Closes, EnvBase):
         self._is_drawn = seed is None
         with self._streamed():
             self.simulator.seed(seed)
-
-
-def _bounded(bounds: Bounds, batch: tuple[int, ...]) -> Bounded:
-    """The spec of (*batch, *shape) with two arrays of the shape as bounds."""
-    shape = (*batch, *bounds[0].shape)
-    low, high = (torch.tensor(bound, device=_CPU).expand(shape) for bound in bounds)
-    return Bounded(low, high, shape, dtype=torch.float32, device=_CPU)
 
 
 def _read_actions(tensordict: TensorDictBase, group: str) -> NDArray[Any]:

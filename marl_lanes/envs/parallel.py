@@ -15,25 +15,19 @@ from marl_lanes.envs.actions import check_actions, read_action
 from marl_lanes.envs.closing import Closes
 from marl_lanes.envs.episodes import check_spaces, count_agents
 from marl_lanes.envs.followers import find_policies
-from marl_lanes.envs.infos import FIELDS, Step, info_names
+from marl_lanes.envs.infos import Step
 from marl_lanes.envs.options import read_options
+from marl_lanes.envs.step_reader import StepReader
 from marl_lanes.envs.vehicle_table import read_vehicle_table, state_bounds
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic.arguments import check_flag, check_whole
-from marl_lanes.traffic.machine.state import Outcome, Phase, truncates
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy
-from marl_lanes.traffic.roles.follower import FOLLOWER
 from marl_lanes.traffic.simulator import Simulator
 
 if TYPE_CHECKING:
     from marl_lanes.envs.rendering import Renderer, View
-
-_TRUNCATING = {int(outcome) for outcome in Outcome if truncates(outcome)}
-
-_ABSENT = int(Phase.ABSENT)
-_UNFINISHED = int(Outcome.UNFINISHED)
 
 MAX_SKIPPED = 1000
 """Episodes without a command that a reset skips before it gives up."""
@@ -134,7 +128,6 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
             agent: role for role in self.simulator.roles for agent in self._names[role.name]
         }
         self.possible_agents = list(self._role_of)
-        self._rank = {agent: rank for rank, agent in enumerate(self.possible_agents)}
         self.observation_spaces = {}
         self.action_spaces = {}
         for agent, role in self._role_of.items():
@@ -144,8 +137,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         if self._has_flat_state:
             low, high = low.ravel(), high.ravel()
         self.state_space = Box(low, high)
-        self._slots: dict[str, int] = {}
-        self._view()
+        self._reader = StepReader(self.simulator, self._names)
 
     def _make_simulator(self, scenario: Scenario, seed: int | None) -> Simulator:
         policies = find_policies(scenario, self._policies, has_learner=self._learned_followers)
@@ -170,20 +162,10 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
 
     def _use_traffic(self, simulator: Simulator) -> None:
         self.simulator, self.scenario = simulator, simulator.scenario
-        self._view()
+        self._reader = StepReader(simulator, self._names)
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = self._make_renderer()
-
-    def _view(self) -> None:
-        """Keep views of the road's arrays: making them at every step would be slow."""
-        state = self.simulator.state
-        table = state.agents[0]
-        self._seen, self._is_done = state.observations[0], state.roads["is_done"]
-        self._phases, self._outcomes = table["phase"], table["outcome"]
-        self._commands, self._rewards = table["command"], table["reward"]
-        self._told = [table[name] for name in FIELDS]
-        self._told += [table["terms"][:, index] for index in range(len(CHANGER.terms))]
 
     def _make_renderer(self) -> "Renderer | None":
         if self.render_mode is None:
@@ -195,9 +177,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         return Renderer(self.simulator, 0, self._chosen_view, has_window=has_window)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # The views of a copy must belong to its own road.
         self.__dict__.update(state)
-        self._view()
         if not self._is_seeded:
             # Vector environments copy one that has not been used: their traffic must differ.
             self.simulator.seed()
@@ -260,7 +240,7 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
             self._renderer.open()
         self._begin(chosen.snapshot)
         result: Step = ({}, {}, {}, {}, {})
-        self._collect(result)
+        self.agents = self._reader.read(result)
         if self._renderer is not None:
             self._renderer.show()
         for name in set(result[4]) - set(self.agents):
@@ -286,16 +266,16 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
         for agent, value in zip(self.agents, values, strict=True):
             is_changer = self._role_of[agent] is CHANGER
             buffer = simulator.actions if is_changer else simulator.follower_actions
-            buffer[0, self._slots[agent]] = value
+            buffer[0, self._reader.slots[agent]] = value
         if self._renderer is not None:
             self._renderer.note()
         simulator.advance()
         result: Step = ({}, {}, {}, {}, {})
-        self._collect(result)
-        if not self.agents and not self._is_done[0]:
+        self.agents = self._reader.read(result)
+        if not self.agents and not self._reader.is_done[0]:
             # The agents that have just ended stay in the dicts; new ones are added.
             self._advance_until_live()
-            self._collect(result)
+            self.agents = self._reader.read(result)
         self._num_cycles += 1
         if self._num_cycles == self._max_cycles:
             result[3].update(dict.fromkeys(self.agents, True))
@@ -377,44 +357,3 @@ class LaneChangeParallelEnv(Closes, ParallelEnv):
                 f"actions: {agent} is live and has no action; live agents: {self.agents}"
             ) from None
         return read_action(agent, action, self.action_spaces[agent].shape[0])
-
-    def _collect(self, result: Step) -> None:
-        """Write the values of the live agents and of those that have just ended to the dicts."""
-        observations, rewards, terminations, truncations, infos = result
-        self.agents = []
-        self._slots.clear()
-        phases, outcomes = self._phases.tolist(), self._outcomes.tolist()
-        for slot, (phase, outcome) in enumerate(zip(phases, outcomes, strict=True)):
-            is_over = outcome != _UNFINISHED
-            if phase == _ABSENT and not is_over:
-                continue
-            command = self._commands.item(slot)
-            name = self._names[CHANGER.name][command]
-            truncations[name] = outcome in _TRUNCATING
-            terminations[name] = is_over and outcome not in _TRUNCATING
-            observations[name] = self._seen[slot].copy()
-            rewards[name] = self._rewards.item(slot)
-            values = [float(column.item(slot)) for column in self._told]
-            infos[name] = dict(zip(info_names(name), values, strict=True))
-            both = [name]
-            if FOLLOWER.name in self._names:
-                follower = self._names[FOLLOWER.name][command]
-                both.append(follower)
-                self._collect_follower(slot, name, follower, result)
-            if not is_over:
-                self.agents += both
-                self._slots.update(dict.fromkeys(both, slot))
-        self.agents.sort(key=self._rank.__getitem__)
-
-    def _collect_follower(self, slot: int, changer: str, name: str, result: Step) -> None:
-        """Write the values of the driver behind the changer of a slot to the dicts."""
-        observations, rewards, terminations, truncations, infos = result
-        record = self.simulator.state.followers[0, slot]
-        observations[name] = self.simulator.state.follower_observations[0, slot].copy()
-        rewards[name] = float(record["reward"])
-        terminations[name], truncations[name] = terminations[changer], truncations[changer]
-        infos[name] = {
-            "phase": infos[changer]["phase"],
-            "is_paired": float(self.simulator.is_follower_acting[0, slot]),
-            **dict(zip(FOLLOWER.reward_names, record["terms"].tolist(), strict=True)),
-        }

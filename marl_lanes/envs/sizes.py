@@ -2,9 +2,9 @@
 
 from marl_lanes.envs.vehicle_table import state_columns
 from marl_lanes.scenario import Scenario
+from marl_lanes.traffic.placement import bytes_of_road
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
-from marl_lanes.traffic.simulator import bytes_of_road
 
 _BYTES_OF_SLOT = 32
 """Of an agent's masks, ends, rewards and outcome."""

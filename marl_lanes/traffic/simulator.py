@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario, ScenarioError, load_scenario
 from marl_lanes.scenario.dispositions import LEARNED
 from marl_lanes.traffic.arguments import (
@@ -22,11 +21,11 @@ from marl_lanes.traffic.arguments import (
     read_mask,
     read_numbers,
 )
-from marl_lanes.traffic.host import HostRoads
-from marl_lanes.traffic.machine.graphics import find_memory, read_device
-from marl_lanes.traffic.machine.state import Outcome, Records, State, allocate
+from marl_lanes.traffic.machine.graphics import read_device
+from marl_lanes.traffic.machine.state import Outcome, Records, State
 from marl_lanes.traffic.machine.threads import count_processors, exclusive
-from marl_lanes.traffic.parameters import array_sizes, make_parameters
+from marl_lanes.traffic.parameters import make_parameters
+from marl_lanes.traffic.placement import bytes_of_road, place_on_gpu, place_on_host
 from marl_lanes.traffic.readout import Masks, read_masks
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.external import FollowerPolicy, ask_policies, choose_policies
@@ -52,13 +51,6 @@ _NO_LEARNER = -2
 
 _MOST_THREADS = 1024
 _MOST_ROADS = _MOST_FIRST_ROAD = 2**63 - 1
-
-
-def bytes_of_road(scenario: Scenario) -> int:
-    """Memory of one road [bytes]: its part of the state and of the actions."""
-    arrays = allocate(num_envs=0, **array_sizes(scenario)).arrays
-    state = sum(array.itemsize * math.prod(array.shape[1:]) for array in arrays)
-    return state + 8 * scenario.num_slots * (len(CHANGER.act(scenario)) + 1)
 
 
 class Simulator:
@@ -141,29 +133,17 @@ class Simulator:
         self.parameters = make_parameters(self.scenario)
         wanted = num_threads or min(count_processors(), num_envs // _ROADS_PER_THREAD)
         self.num_threads = max(1, min(wanted, num_envs))
-        self._gpu_roads = None if gpu is None else self._make_gpu_roads(gpu)
-        self._roads = self._gpu_roads or self._make_host_roads()
+        given = self.scenario, self.parameters, num_envs
+        self._gpu_roads = (
+            None if gpu is None else place_on_gpu(*given, learner=self.learner, gpu=gpu)
+        )
+        self._roads = self._gpu_roads or place_on_host(*given, self.num_threads)
         self.state = cast("State", self._roads.state)
         self.device = "cpu" if gpu is None else f"cuda:{gpu}"
         """Where the roads are."""
         self._lock = threading.Lock()
         self._is_fullness_told = False
         self.seed(seed)
-
-    def _make_host_roads(self) -> HostRoads:
-        check_memory("num_envs", self.num_envs, self.num_envs * self.bytes_per_environment)
-        state = allocate(num_envs=self.num_envs, **array_sizes(self.scenario))
-        return HostRoads(state, self.parameters, self.num_actions, self.num_threads)
-
-    def _make_gpu_roads(self, gpu: int) -> "GpuRoads":
-        needed = self.num_envs * self.bytes_per_environment
-        check_memory("num_envs", self.num_envs, needed, *find_memory(gpu))
-        # Imported here, because a simulation on processors needs no CUDA.
-        from marl_lanes.traffic.gpu import GpuRoads
-
-        road = allocate(num_envs=1, **array_sizes(self.scenario))
-        numbers = {"num_actions": self.num_actions, "learner": self.learner, "gpu": gpu}
-        return GpuRoads(road, self.parameters, self.num_envs, **numbers)
 
     @property
     def actions(self) -> NDArray[np.float64]:

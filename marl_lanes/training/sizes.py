@@ -7,9 +7,9 @@ from marl_lanes.envs.sizes import bytes_of_state
 from marl_lanes.memory import check_memory
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.messages import shown
+from marl_lanes.traffic.placement import bytes_of_road
 from marl_lanes.traffic.roles.changer import CHANGER
 from marl_lanes.traffic.roles.follower import FOLLOWER
-from marl_lanes.traffic.simulator import bytes_of_road
 from marl_lanes.training.config import (
     ChangersConfig,
     LearnerConfig,

@@ -1,9 +1,8 @@
-"""The training program: its run folder, interruption, repetition, and what it refuses."""
+"""The training program: its run folder, interruption, repetition, and runs that it refuses."""
 
 import csv
 import gc
 import json
-import re
 import shlex
 import shutil
 import signal
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from films import read_pictures
-from kills import fill_disk, interrupt, kill, kill_within, run_until
+from kills import interrupt, kill, kill_within, run_until
 from naf_program import (
     PROGRAM,
     TINY,
@@ -23,23 +22,20 @@ from naf_program import (
     begin,
     prepare,
     read_tiny,
-    run_program,
     weights,
 )
 from omegaconf import OmegaConf
-from programs import BUSY, load_program, run_main
+from programs import load_program, run_main
 
 from marl_lanes import load_scenario
 from marl_lanes.evaluation.metrics import summarise
 from marl_lanes.evaluation.recording import record_road
-from marl_lanes.evaluation.rollout import run_maneuvers
 from marl_lanes.naf.checkpoint import greedy_policy, read_checkpoint
 from marl_lanes.recipes.naf import read
 from marl_lanes.report.replays import RECORDING
 from marl_lanes.training.checkpoint import (
     load_checkpoint,
 )
-from marl_lanes.training.resume import read_state
 from marl_lanes.trajectory.events import find_commands
 from marl_lanes.trajectory.file import read_trajectory
 
@@ -299,22 +295,6 @@ def test_a_run_that_is_killed_often_goes_on_as_if_it_had_not_been(program, whole
     assert_same_files(run, reference)
 
 
-@pytest.mark.parametrize("place", [2, 9, 13, 16, 30])
-def test_a_full_disk_is_one_line_and_the_last_state_stays(program, tmp_path, place):
-    run = prepare(tmp_path) / "run"
-    options = [*TINY, UNRECORDED, "output=run"]
-    status, printed = run_until(program, tmp_path, options, place, fill_disk(0))
-    assert status in {1, 2}, printed[-3000:]
-    (line,) = [line for line in printed.splitlines() if "error:" in line]
-    assert "File too large" in line
-    assert "Traceback" not in printed
-    if place <= 13:
-        assert not run.exists()
-    else:
-        read_state(run / "resume.pt")
-        assert "resume=run" in line
-
-
 def assert_same_files(run, reference):
     """Assert that all is equal in which there are no seconds, and nothing is left over."""
     found, wanted = contents(run), contents(reference)
@@ -344,28 +324,6 @@ def test_an_existing_run_is_refused(program, whole, monkeypatch, capsys):
     assert caught.value.code == 2
     assert capsys.readouterr().err.startswith("error: output = 'run': must be a new or empty ")
     assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
-
-
-def test_an_unknown_key_is_one_error_and_no_folder(tmp_path):
-    option = "optimizer.lerning_rate=1"
-    code, out, err = run_program(*TINY, option, "output=run", folder=prepare(tmp_path))
-    assert code == 2
-    assert err.startswith("error: optimizer.lerning_rate: unknown key; did you mean learning_rate?")
-    assert out == ""
-    assert len(err.splitlines()) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
-
-
-def test_a_bad_value_is_one_error_and_no_folder(program, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(prepare(tmp_path))
-    with pytest.raises(SystemExit) as caught:
-        program.main([*TINY, "network.mu=foo", "output=run"])
-    assert caught.value.code == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("error: network.mu = 'foo': ")
-    assert len(err.splitlines()) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["busy.yaml"]
 
 
 def foreign_state(path):
@@ -434,52 +392,3 @@ def test_a_training_starts_from_the_initial_checkpoint(whole, tmp_path, monkeypa
     learner = begin(config)
     assert_same_weights(weights(run), learner.algorithm.network.state_dict())
     learner.close()
-
-
-def test_the_command_line_explains_itself(program, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    for arguments in (["--help"], ["seed=3", "--cfg", "job", "scenario=interactive"]):
-        with pytest.raises(SystemExit) as caught:
-            program.main(arguments)
-        assert caught.value.code in {0, None}
-    out = capsys.readouterr().out
-    usage, _, composed = out.partition("scenario: interactive\n")
-    assert "python agents/naf/train.py" in usage
-    assert "  optimizer.mu_learning_rate: step size of mu" in usage
-    assert "seed: 3\n" in composed
-    assert "recipe: interactive\n" in composed
-    assert list(tmp_path.iterdir()) == []
-
-
-INTERACTIVE = """
-action: {longitudinal: {}}
-followers: {mix: {adversarial: 1.0}}
-observation:
-  features: [speed, acceleration, lateral_deviation, yaw, yaw_rate, curvature,
-             car_following_acceleration, target_follower_gap, phase]
-"""
-
-
-def test_interactive_is_learned(tmp_path):
-    """Two actions; the best saved model, of which the report is, and the run goes on from it."""
-    (tmp_path / "two.yaml").write_text(BUSY + INTERACTIVE, encoding="utf-8")
-    options = ("scenario=two.yaml", "evaluation.criterion=success_rate", UNRECORDED, "output=run")
-    code, out, err = run_program(*TINY, *options, folder=tmp_path)
-    assert code == 0, err[-3000:]
-    assert {path.name for path in tmp_path.iterdir()} == {"two.yaml", "run"}
-    run = tmp_path / "run"
-    assert OmegaConf.load(run / "config.yaml").recipe == "interactive"
-    choice = json.loads((run / "choice.json").read_text(encoding="utf-8"))
-    values = choice["success_rate"]
-    assert list(values) == sorted(path.name for path in (run / "checkpoints").glob("step_*.pt"))
-    assert values[choice["chosen"]] == max(values.values())
-    assert_same_weights(weights(run), weights(run, choice["chosen"]))
-    result = json.loads((run / "evaluation.json").read_text(encoding="utf-8"))
-    assert re.search(
-        rf"mean_episode_reward +{re.escape(format(result['mean_episode_reward'], '.5g'))}\n", out
-    )
-    scenario = load_scenario(tmp_path / "two.yaml")
-    final = load_checkpoint(run / "checkpoints" / "final.pt", scenario)
-    maneuvers = run_maneuvers(scenario, greedy_policy(final.network), 3, seed=1_000_000)
-    rewards = [one.episode_reward for one in maneuvers]
-    assert result["mean_episode_reward"] == pytest.approx(np.mean(rewards), rel=1e-9)

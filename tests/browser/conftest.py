@@ -1,11 +1,13 @@
-"""A browser for the tests of the page, started once for a module, and pages of it."""
+"""A browser for the tests of the page, started once for a module, pages of it, and replays."""
 
 import os
 import shutil
 from contextlib import contextmanager
 
 import pytest
+from browser.replays import Replay
 from browser.waiting import wait_until
+from recordings import record
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = [
@@ -70,3 +72,14 @@ def open_page(browser):
         assert foreign == []
 
     return opened
+
+
+@pytest.fixture(scope="module")
+def replay(tmp_path_factory):
+    """Interactive traffic, with aborts."""
+    return Replay(tmp_path_factory.mktemp("interactive"), record("interactive", 420))
+
+
+@pytest.fixture(scope="module")
+def curved(tmp_path_factory):
+    return Replay(tmp_path_factory.mktemp("curved"), record("curved", 300))

@@ -198,7 +198,7 @@ def test_a_paired_followers_action_moves_its_vehicle_alone():
     observations, infos = until_paired(road)
     until_paired(twin)
     (name,) = [agent for agent, info in infos.items() if info.get("is_paired")]
-    slot = road._slots[name]
+    slot = road._reader.slots[name]
     vehicle = int(road.simulator.state.followers[0, slot]["vehicle"])
     actions = actions_of(road, observations)
     rewards = road.step({**actions, name: np.array([-3.0], np.float32)})[1]

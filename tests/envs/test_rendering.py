@@ -1,4 +1,4 @@
-"""render_mode: pictures, videos and a window of the environments, and the run that they leave."""
+"""render_mode of PettingZoo's environment: pictures, a window, and the run that they leave."""
 
 import copy
 import pickle
@@ -11,10 +11,10 @@ import numpy as np
 import pygame
 import pytest
 import torch
-from tensordict import TensorDict
+from envs.playing import BUSY, steer
+from envs.showing import RED, SMALL, assert_shows_traffic, is_near
 
-from marl_lanes import LaneChangeEnv, env, load_scenario, parallel_env
-from marl_lanes.colours import TRAFFIC
+from marl_lanes import env, load_scenario, parallel_env
 from marl_lanes.rendering.options import ViewOptions
 from marl_lanes.rendering.painter import Painter
 from marl_lanes.rendering.window import DisplayError
@@ -26,20 +26,6 @@ with warnings.catch_warnings():
     from pettingzoo.test.render_test import render_test
 
 torch.set_num_threads(1)
-
-SMALL = {"size": (320, 180), "speed": 100.0}
-BUSY = {"departures": {"interval": [1.5, 3.0]}, "command": {"probability": 1.0}}
-RED, YELLOW = (
-    np.array(list(bytes.fromhex(colour[1:]))) for colour in (TRAFFIC.changer, TRAFFIC.vehicle)
-)
-
-
-def steer(observation):
-    """Feedback toward the target lane, and car following where there is a second action."""
-    speed, _, deviation, yaw, yaw_rate, curvature, *others = observation.tolist()
-    wanted = min(max(0.5 * deviation, -2.0), 2.0) / max(speed, 1.0)
-    action = 2.0 * (wanted - yaw) - 2.0 * (yaw_rate - curvature * speed)
-    return np.array([action, *others[-2:-1]], np.float32)
 
 
 def swerve(_):
@@ -68,31 +54,6 @@ def drive(road, steps=None, policy=steer, **reset):
     return lines
 
 
-def is_near(picture, colour):
-    return (np.abs(picture.astype(int) - colour) < 40).all(axis=-1)
-
-
-def assert_shows_traffic(picture):
-    """Not black, and with yellow cars."""
-    assert picture.mean() > 15.0
-    assert len(np.unique(picture.astype(np.uint32) @ (1, 256, 65_536))) > 20
-    assert is_near(picture, YELLOW).sum() > 30
-
-
-@pytest.fixture
-def frames(monkeypatch):
-    """The frames that are drawn."""
-    drawn = []
-    draw = Painter.draw
-
-    def keep(self, frame):
-        drawn.append(frame)
-        return draw(self, frame)
-
-    monkeypatch.setattr(Painter, "draw", keep)
-    return drawn
-
-
 @pytest.fixture
 def screenless(monkeypatch):
     """Windows that nobody sees, as SDL's driver for tests has them."""
@@ -100,15 +61,6 @@ def screenless(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     yield
     pygame.display.quit()
-
-
-@pytest.fixture
-def no_display(monkeypatch):
-    pygame.display.quit()
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
-        monkeypatch.delenv(name, raising=False)
-    yield
-    assert not pygame.display.get_init()
 
 
 @pytest.mark.usefixtures("screenless")
@@ -357,103 +309,3 @@ def test_after_the_window_is_closed_the_run_goes_on_unshown(frames, way):
     assert road.render() is None
     assert drive(road, seed=0) == unseen
     assert len(frames) == shown[0] + (way != "close")
-
-
-@pytest.mark.usefixtures("no_display")
-def test_a_chosen_road_of_the_torchrl_environment():
-    roads = LaneChangeEnv("dense", 3, render_mode="rgb_array", view=SMALL, seed=0)
-    alone = LaneChangeEnv("dense", 1, first_road=1, render_mode="rgb_array", view=SMALL, seed=0)
-    seen = []
-    for one, road in ((roads, 1), (alone, 0)):
-        state = one.reset()
-        for _ in range(5):
-            one.render(road)
-            state["changers", "action"] = torch.full(
-                (one.simulator.num_envs, one.simulator.num_slots, 1), 0.5
-            )
-            state = one.step(state)["next"]
-        seen.append(one.render(road))
-    assert_shows_traffic(seen[0])
-    assert np.array_equal(*seen)
-    assert not np.array_equal(roads.render(), seen[0])
-    assert np.array_equal(roads.render(0), roads.render())
-    for road in (-1, 3):
-        with pytest.raises(ValueError, match=f"road = {road}: must be 0 to 2"):
-            roads.render(road)
-
-
-def test_the_first_picture_of_an_episode_knows_nothing_of_the_last_one():
-    used = LaneChangeEnv("paper", render_mode="rgb_array", view=SMALL, seed=0)
-    for seed in range(6):
-        fresh = LaneChangeEnv("paper", seed=seed, render_mode="rgb_array", view=SMALL)
-        used.set_seed(seed)
-        for one in (used, fresh):
-            one.reset()
-        assert np.array_equal(used.render(), fresh.render())
-
-
-def test_the_torchrl_environment_shows_what_a_step_has_removed_and_the_actions(frames):
-    overrides = {**BUSY, "num_agents": None, "horizon": None}
-    roads = LaneChangeEnv(
-        "dense", 2, render_mode="rgb_array", view=SMALL, overrides=overrides, seed=0
-    )
-    state = roads.reset()
-    ended = shown = acted = 0
-    for _ in range(150):
-        roads.render(1)
-        state["changers", "action"] = torch.full((2, roads.simulator.num_slots, 1), 0.5)
-        state = roads.step(state)["next"]
-        ended += int((state["changers", "outcome"][1] == Outcome.OFF_ROAD).sum())
-        roads.render(1)
-        shown += int((frames[-1].rows["fate"] == Fate.STRAYS).sum())
-        acted += int((frames[-1].rows["action_yaw_acceleration"] == 0.5).sum())
-    assert shown == ended > 0
-    assert acted > 20
-    assert [frame.step for frame in frames] == list(range(151))
-
-
-def test_a_reset_or_a_restored_state_of_a_road_is_seen():
-    roads = LaneChangeEnv("paper", 2, render_mode="rgb_array", view=SMALL, seed=0)
-    roads.reset()
-    start, snapshot = roads.render(1), roads.simulator.snapshot()
-    roads.rollout(20, auto_reset=False, tensordict=roads.reset())
-    kept, moved = roads.render(0), roads.render(1)
-    roads.reset(TensorDict({"_reset": torch.tensor([[False], [True]])}, [2]))
-    assert np.array_equal(roads.render(0), kept)
-    assert not np.array_equal(roads.render(1), moved)
-    roads.restore(snapshot)
-    assert np.array_equal(roads.render(1), start)
-
-
-def test_the_torchrl_environment_has_the_same_bytes_whether_it_is_shown_or_not():
-    states = []
-    for mode in (None, "rgb_array"):
-        roads = LaneChangeEnv("dense", 2, render_mode=mode, view=SMALL, seed=0)
-        roads.set_seed(0)
-        state = roads.reset()
-        for _ in range(30):
-            if mode is not None:
-                roads.render(1)
-            state["changers", "action"] = torch.full((2, roads.simulator.num_slots, 1), 0.3)
-            state = roads.step(state)["next"]
-        states.append(roads.simulator.snapshot())
-    assert states[0] == states[1]
-
-
-def test_the_torchrl_environment_renders_arrays_alone():
-    with pytest.raises(ValueError, match="render_mode = 'human': must be None or 'rgb_array'"):
-        LaneChangeEnv(render_mode="human")
-    with pytest.raises(ValueError, match="make the environment with render_mode='rgb_array'"):
-        LaneChangeEnv().render()
-
-
-def test_a_copy_of_the_torchrl_environment_renders_its_own_roads():
-    roads = LaneChangeEnv("paper", 2, render_mode="rgb_array", view=SMALL, seed=0)
-    roads.reset()
-    twin = pickle.loads(pickle.dumps(roads))  # noqa: S301
-    assert np.array_equal(twin.render(), roads.render())
-    twin.rand_step(twin.reset())
-    twin.simulator.vehicles["position"] += 50.0
-    picture = roads.render()
-    roads._find_renderer(0).note()
-    assert np.array_equal(roads.render(), picture)
