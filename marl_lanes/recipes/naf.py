@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from marl_lanes import LaneChangeEnv, NAFNetwork, Scenario, ScenarioError, load_scenario
 from marl_lanes.evaluation.policies import (
@@ -26,7 +25,7 @@ from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import load_checkpoint, make_network
 from marl_lanes.training.command_line import Fields, describe_command, read_command_line, refusing
 from marl_lanes.training.config import ConfigError, read_changers_config
-from marl_lanes.training.demonstrations import collect_demonstrations, imitate
+from marl_lanes.training.demonstrations import Expert, learn_from_expert
 from marl_lanes.training.sizes import check_networks
 
 EXPERTS = {
@@ -111,20 +110,25 @@ def make_algorithm(
     network = start_network(config, scenario)
     # A run that is resumed has weights of its own.
     if config.demonstrations.num_transitions and config.resume is None:
-        imitate(network, *demonstrate(config, env.scenario), config.demonstrations)
+        learn_from_expert(
+            network,
+            env.scenario,
+            make_expert(config, env.scenario),
+            config.demonstrations,
+            config.seed,
+        )
     return NAF(config, env, network, device=device, acting_device=acting_device)
 
 
-def demonstrate(config: TrainingConfig, scenario: Scenario) -> tuple[Tensor, Tensor, Tensor]:
-    """A policy without learning: what it saw, what it did, and what of it had an effect."""
-    number = config.demonstrations.num_transitions
+def make_expert(config: TrainingConfig, scenario: Scenario) -> Expert:
+    """The policy without learning that demonstrates."""
     try:
-        expert = EXPERTS[config.demonstrations.policy](scenario)
+        return EXPERTS[config.demonstrations.policy](scenario)
     except ScenarioError as error:
         raise ConfigError(
-            f"demonstrations.num_transitions = {number}: must be 0: {error}"
+            f"demonstrations.num_transitions = {config.demonstrations.num_transitions}: must be 0: "
+            f"{error}"
         ) from None
-    return collect_demonstrations(scenario, expert, config.demonstrations, config.seed)
 
 
 def start_network(config: TrainingConfig, scenario: Scenario) -> NAFNetwork:

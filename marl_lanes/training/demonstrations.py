@@ -1,21 +1,24 @@
 """Demonstrations of an expert, and mu fitted to its actions before a training begins.
 
 The expert drives with noise, so that the states around its paths are among the demonstrations, and
-the actions to be imitated are those that it would take there without noise.
+the actions to be imitated are those that it would take there without noise. In further rounds what
+has imitated it drives, and the expert says what it would do (DAgger, Ross, Gordon and Bagnell 2011,
+arXiv 1011.0686): so the states that an imitation gets into are among them, too.
 """
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 from tqdm import tqdm
 
 from marl_lanes.envs.followers import find_policies
 from marl_lanes.memory import check_memory
+from marl_lanes.naf.checkpoint import greedy_policy
 from marl_lanes.naf.network import NAFNetwork
 from marl_lanes.scenario import Scenario
 from marl_lanes.scenario.fields import Section
@@ -38,26 +41,75 @@ class DemonstrationsConfig(Section):
         description="that drives"
     )
     num_transitions: CountOrZero = Field(
-        description="transitions that it drives before the training; 0: mu is not fitted"
+        description="transitions of all rounds, before the training; 0: mu is not fitted"
     )
-    num_updates: Number = Field(description="updates of mu on them")
+    num_rounds: Number = Field(
+        description="rounds of driving and fitting: in the first the policy drives, in the others "
+        "mu as it is by then"
+    )
+    num_updates: Number = Field(description="updates of mu in each round, on those so far")
     batch_size: Number = Field(description="transitions an update")
     learning_rate: Magnitude = Field(description="step size at first; it falls linearly to 0")
-    sigma: Sigma = Field(
-        description="noise on the expert's actions, of each action's half range [1]"
-    )
+    sigma: Sigma = Field(description="noise on the driven actions, of each action's half range [1]")
+
+    @model_validator(mode="after")
+    def _check_rounds(self) -> Self:
+        if 0 < self.num_transitions < self.num_rounds:
+            raise ValueError(
+                f"num_rounds = {self.num_rounds}: must be at most num_transitions = "
+                f"{self.num_transitions}"
+            )
+        return self
+
+
+def learn_from_expert(
+    network: NAFNetwork, scenario: Scenario, expert: Expert, config: DemonstrationsConfig, seed: int
+) -> float:
+    """Fit the network's mu to what an expert does, in ``num_rounds`` rounds.
+
+    Args:
+        network: whose mu is changed in place.
+        scenario: in which the training collects.
+        expert: that is imitated, and that drives in the first round.
+        config: how many, and with which noise.
+        seed: of traffic and noise.
+
+    Returns:
+        the loss of the last round, as of ``imitate``.
+
+    Raises:
+        ScenarioError, ValueError: as for ``collect_demonstrations``.
+    """
+    _check_room(scenario, config.num_transitions)
+    ends = np.linspace(0, config.num_transitions, config.num_rounds + 1).round().astype(int)
+    seeds = [seed, *np.random.SeedSequence(seed).generate_state(config.num_rounds - 1, np.uint64)]
+    rounds: list[tuple[Tensor, Tensor, Tensor]] = []
+    loss, driver = 0.0, None
+    for wanted, of_round in zip(np.diff(ends).tolist(), seeds, strict=True):
+        share = config.model_copy(update={"num_transitions": wanted})
+        rounds.append(collect_demonstrations(scenario, expert, share, int(of_round), driver=driver))
+        observations, actions, effective = map(torch.cat, zip(*rounds, strict=True))
+        loss = imitate(network, observations, actions, effective, config)
+        driver = greedy_policy(network)
+    return loss
 
 
 def collect_demonstrations(
-    scenario: Scenario, expert: Expert, config: DemonstrationsConfig, seed: int
+    scenario: Scenario,
+    expert: Expert,
+    config: DemonstrationsConfig,
+    seed: int,
+    *,
+    driver: Expert | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What acting agents see, and what the expert does there without noise.
+    """What acting agents see, and what the expert does there without noise, in one round.
 
     Args:
         scenario: in which the training collects.
-        expert: that drives.
+        expert: whose actions are to be imitated.
         config: how many, and with which noise.
         seed: of traffic and noise.
+        driver: whose actions are carried out, with noise; None: the expert.
 
     Returns:
         observations, (N, F); actions, (N, D); and which of these have an effect, (N, D), bool: the
@@ -70,8 +122,7 @@ def collect_demonstrations(
     wanted = config.num_transitions
     dimensions = CHANGER.act(scenario)
     low, high = (np.array([getattr(one, side) for one in dimensions]) for side in ("low", "high"))
-    row = 4.0 * (len(CHANGER.seen(scenario)) + low.size)
-    check_memory("demonstrations.num_transitions", wanted, 2.0 * row * wanted)
+    _check_room(scenario, wanted)
     simulator = Simulator(
         scenario, NUM_ROADS, seed=seed, follower_policies=find_policies(scenario, None)
     )
@@ -95,8 +146,9 @@ def collect_demonstrations(
                 effective.append(
                     np.column_stack([steers, *[np.ones_like(steers)] * (low.size - 1)])
                 )
+                driven = chosen if driver is None else driver(observations)
                 noise = config.sigma * generator.standard_normal(chosen.shape)
-                actions[acting] = np.clip(chosen + noise * (high - low) / 2.0, low, high)
+                actions[acting] = np.clip(driven + noise * (high - low) / 2.0, low, high)
             bar.update(min(len(observations), wanted - num_found))
             num_found += len(observations)
             simulator.step(actions)
@@ -143,3 +195,9 @@ def imitate(
         schedule.step()
         losses.append(loss.detach())
     return float(torch.stack(losses[-max(1, len(losses) // 10) :]).mean())
+
+
+def _check_room(scenario: Scenario, wanted: int) -> None:
+    """Whether so many fit in memory, while they are put together; ValueError if not."""
+    row = 4.0 * (len(CHANGER.seen(scenario)) + len(CHANGER.act(scenario)))
+    check_memory("demonstrations.num_transitions", wanted, 2.0 * row * wanted)

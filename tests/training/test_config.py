@@ -97,6 +97,7 @@ BAD = [
     ("replay.warmup_transitions", -1),
     ("demonstrations.policy", "quintic"),
     ("demonstrations.num_transitions", -1),
+    ("demonstrations.num_rounds", 0),
     ("demonstrations.num_updates", 0),
     ("demonstrations.batch_size", 0),
     ("demonstrations.learning_rate", 0.0),

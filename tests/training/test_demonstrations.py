@@ -14,6 +14,7 @@ from marl_lanes.training.demonstrations import (
     DemonstrationsConfig,
     collect_demonstrations,
     imitate,
+    learn_from_expert,
 )
 
 SCENARIO = load_scenario("paper", BUSY)
@@ -22,7 +23,8 @@ SPEED, DEVIATION, YAW_RATE = 0, 2, 4
 
 def settings(**changes):
     chosen = {"num_transitions": 400, "num_updates": 300, "batch_size": 64, "learning_rate": 0.01}
-    return DemonstrationsConfig(**(chosen | {"policy": "mpc", "sigma": 0.2} | changes))
+    others = {"policy": "mpc", "num_rounds": 1, "sigma": 0.2}
+    return DemonstrationsConfig(**(chosen | others | changes))
 
 
 def expert(observations):
@@ -115,6 +117,54 @@ def test_what_has_no_effect_is_not_imitated():
     assert (greedy[~waits, 0] + 0.1).abs().mean() < 0.02
     assert (greedy[waits, 0] - 0.4).abs().mean() > 0.2
     assert (greedy[:, 1] - actions[:, 1]).abs().mean() < 0.2
+
+
+def test_one_round_is_the_experts_and_an_imitation(shown):
+    torch.manual_seed(0)
+    network = make_network(SCENARIO, "mlp", [16])
+    loss = learn_from_expert(network, SCENARIO, expert, settings(), 5)
+    torch.manual_seed(0)
+    other = make_network(SCENARIO, "mlp", [16])
+    assert loss == imitate(other, *shown, settings())
+    assert all(map(torch.equal, network.state_dict().values(), other.state_dict().values()))
+
+
+def test_in_further_rounds_the_imitation_drives_and_the_expert_tells(monkeypatch):
+    """An imitation that has learned nothing stays in its lane; the expert has never left it."""
+    fitted = []
+
+    def fit_nothing(_network, observations, actions, effective, _config):
+        fitted.append((observations, actions, effective))
+        return float(len(fitted))
+
+    monkeypatch.setattr("marl_lanes.training.demonstrations.imitate", fit_nothing)
+    network = make_network(SCENARIO, "mlp", [16])
+    with torch.no_grad():
+        network.mu.action.last_bias.fill_(-1e3)  # hard to the other side
+    rounds = settings(num_rounds=3, num_transitions=401, sigma=0.0)
+    assert learn_from_expert(network, SCENARIO, expert, rounds, 5) == 3.0
+    assert [len(observations) for observations, *_ in fitted] == [134, 267, 401]
+    observations, actions, effective = fitted[-1]
+    for seen, of_all in zip(fitted[0], fitted[-1], strict=True):
+        assert torch.equal(seen, of_all[:134])
+    # All actions are the expert's, and the states beyond the first round are mu's.
+    assert actions.numpy() == pytest.approx(expert(observations.numpy()), abs=1e-6)
+    assert effective.all()
+    assert observations[:134, YAW_RATE].max() > 0.05
+    assert observations[134:, YAW_RATE].max() <= 0.0
+    assert observations[134:, YAW_RATE].min() < -0.05
+    # Each round has traffic of its own.
+    assert not torch.equal(observations[134:139, SPEED], observations[267:272, SPEED])
+
+
+@pytest.mark.parametrize("rounds", [2, 7])
+def test_a_round_has_transitions(rounds):
+    with pytest.raises(
+        ValueError, match=rf"num_rounds = {rounds}: must be at most num_transitions = 1 "
+    ):
+        settings(num_transitions=1, num_rounds=rounds)
+    # Without demonstrations it means nothing.
+    assert settings(num_transitions=0, num_rounds=rounds).num_transitions == 0
 
 
 def test_too_many_are_refused_before_anything_drives():
