@@ -9,10 +9,10 @@ import shlex
 import subprocess
 import sys
 import typing
-from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from doc_pages import PAGES, ROOT, name_of, text_of
 from pydantic import BaseModel
 
 from marl_lanes import Scenario, load_scenario
@@ -33,21 +33,11 @@ from marl_lanes.training.algorithms.naf import TrainingConfig
 from marl_lanes.training.checkpoint import make_network, save_checkpoint
 from marl_lanes.trajectory.columns import COLUMNS
 
-ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 API = ROOT / "tests" / "public_api.txt"
-PAGES = [
-    *sorted(ROOT.glob("*.md")),
-    *sorted(DOCS.rglob("*.md")),
-    *sorted((ROOT / "agents").rglob("*.md")),
-]
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 IMAGE = re.compile(r"!\[[^\]]+\]\(([^)\s]+)\)|<img [^>]*src=\"([^\"]+)\"")
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
-
-
-def text_of(path):
-    return path.read_text(encoding="utf-8")
 
 
 def anchors(path):
@@ -137,7 +127,7 @@ def training_fields(kind=TrainingConfig, prefix=""):
             yield prefix + name
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_relative_link_leads_somewhere(page):
     for link in LINK.findall(text_of(page)):
         if re.match(r"[a-z]+:", link):
@@ -200,7 +190,7 @@ def test_the_pages_are_found_and_linked_from_their_index():
 def test_every_page_is_in_the_navigation_of_the_site():
     navigation = text_of(ROOT / "mkdocs.yml").partition("\nnav:\n")[2]
     # README.md is that of the repository; pages of docs/ are without the folder's name.
-    paths = {page.relative_to(ROOT).as_posix() for page in PAGES} - {"docs/README.md"}
+    paths = {name_of(page) for page in PAGES} - {"docs/README.md"}
     named = re.findall(r"[\w/-]+\.md$", navigation, re.MULTILINE)
     assert sorted(named) == sorted(path.removeprefix("docs/") for path in paths)
 
@@ -227,7 +217,7 @@ def test_a_newcomer_can_type_the_commands(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", BLOCKS, ids=lambda page: page.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize("page", BLOCKS, ids=name_of)
 def test_every_example_runs(page, faults):
     assert faults[page] is None
 
