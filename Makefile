@@ -6,7 +6,7 @@
 #                each in a virtual environment of its own: .venv-lowest, .venv-newest
 # make coverage - the lines of marl_lanes that the tests of `make test` run; kernels count where they are interpreted
 # make mutation - small faults put into naf/ and traffic/, and which of them the tests let pass: hours (ARGS="--share 0.1": less)
-# make zoo - train the policies of marl_lanes/zoo/ anew, measure them, write their files and the index: an hour
+# make zoo - train the policies of marl_lanes/zoo/ anew, measure them, write their files and the index: a quarter of an hour
 #            (ARGS="--processes N": N trainings at a time)
 # make docs - the documentation as a site, in site/, which needs no server and no network (.venv-docs)
 # make figures - draw the figures of docs/ anew, in a few minutes
