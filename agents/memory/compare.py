@@ -45,12 +45,13 @@ SETTINGS: Mapping[str, Any] = {
     "demonstrations.num_transitions": 0,
     "network.mu": "cascade+idm",
     "network.hidden_sizes": "[64,64]",
+    "replay.capacity": 524_288,
     "optimizer.mu_learning_rate": 0.0002,
     "optimizer.longitudinal_learning_rate": 0.0004,
     "evaluation.criterion": "success_rate",
 }
 """Where it differs from the recipe: nothing is demonstrated, so that all that a policy knows of the
-others it has learned; mu moves faster."""
+others it has learned; mu moves faster, and nothing is forgotten."""
 NUM_SAVED = 8
 """Models, of which the best becomes the final one."""
 NUM_MANEUVERS = 200
