@@ -3,6 +3,7 @@
 import multiprocessing.process
 import os
 import re
+import signal
 import subprocess
 import sys
 
@@ -12,6 +13,10 @@ import pytest
 pytest.register_assert_rewrite("browser.replays", "comparing", "envs.showing", "staging")
 # Tests run in as many processes as there are cores: torch gets one thread in each.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A shell that starts the tests in the background has Ctrl-C ignored, and the programs that the
+# tests interrupt would inherit that.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 MARKERS = ("training", "ray", "slow", "long")
 """Of the tests that `make check` leaves out."""
