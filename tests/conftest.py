@@ -91,6 +91,18 @@ def _no_modules_of_the_user():
 
 
 @pytest.fixture
+def no_display(monkeypatch):
+    """A computer on which no window can be opened."""
+    import pygame
+
+    pygame.display.quit()
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    yield
+    pygame.display.quit()
+
+
+@pytest.fixture
 def policy_file(tmp_path):
     """A checkpoint of a changers' network."""
     from checkpoints import save_trained

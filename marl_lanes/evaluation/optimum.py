@@ -259,6 +259,7 @@ class _Search:
         self.resize(size)
 
     def resize(self, size: int) -> None:
+        """Plan ``size`` steps from now on, with nothing solved yet."""
         free, response = self.replay.linearise(size)
         self.program = Program(
             free,

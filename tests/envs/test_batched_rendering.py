@@ -15,7 +15,7 @@ from marl_lanes.traffic.machine.state import Fate, Outcome
 torch.set_num_threads(1)
 
 
-@pytest.mark.usefixtures("no_display")
+@pytest.mark.usefixtures("no_window")
 def test_a_chosen_road_of_the_torchrl_environment():
     roads = LaneChangeEnv("dense", 3, render_mode="rgb_array", view=SMALL, seed=0)
     alone = LaneChangeEnv("dense", 1, first_road=1, render_mode="rgb_array", view=SMALL, seed=0)

@@ -90,7 +90,7 @@ def test_the_parallel_form_renders_as_the_aec_form(mode):
         form.close()
 
 
-@pytest.mark.usefixtures("no_display")
+@pytest.mark.usefixtures("no_window")
 @pytest.mark.parametrize("size", [(320, 180), (1280, 720)])
 def test_an_array_is_the_picture_of_the_state_until_the_next_step(size):
     road = parallel_env("dense", "rgb_array", view={"size": size}, seed=0)
@@ -235,7 +235,7 @@ def test_other_modes_and_views_are_refused(form):
         form("paper", "human", view={"zoom": 2.0})
 
 
-@pytest.mark.usefixtures("no_display")
+@pytest.mark.usefixtures("no_window")
 @pytest.mark.parametrize("can_begin", [False, True])
 def test_a_window_without_a_display_is_one_error_that_changes_nothing(monkeypatch, can_begin):
     def fail(*_):

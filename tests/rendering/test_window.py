@@ -21,15 +21,6 @@ XVFB = shutil.which("Xvfb")
 
 
 @pytest.fixture
-def no_display(monkeypatch):
-    pygame.display.quit()
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
-        monkeypatch.delenv(name, raising=False)
-    yield
-    pygame.display.quit()
-
-
-@pytest.fixture
 def screenless(no_display, monkeypatch):  # noqa: ARG001
     """Windows that nobody sees, as SDL's driver for tests has them."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
