@@ -254,7 +254,11 @@ def run_program(path, *arguments):
 @contextlib.contextmanager
 def restored(folder):
     """Forget afterwards the arguments, the search path, and the modules of the folder."""
-    argv, path, modules = sys.argv, list(sys.path), set(sys.modules)
+    argv, path = sys.argv, list(sys.path)
+    # Another test's modules of the same names would be found instead of the folder's.
+    names = {file.stem for file in folder.glob("*.py")} & set(sys.modules)
+    others = {name: sys.modules.pop(name) for name in names}
+    modules = set(sys.modules)
     try:
         yield
     finally:
@@ -263,6 +267,7 @@ def restored(folder):
             file = getattr(sys.modules[name], "__file__", None)
             if file is not None and Path(file).is_relative_to(folder):
                 del sys.modules[name]
+        sys.modules.update(others)
 
 
 def carry_out(runs, folder, *, num_processes=1):
