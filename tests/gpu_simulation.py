@@ -2,6 +2,8 @@
 
 import os
 import sys
+import threading
+from collections import defaultdict
 from copy import deepcopy
 
 os.environ |= {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
@@ -10,6 +12,7 @@ import numpy as np
 
 from marl_lanes import Simulator
 from marl_lanes.envs.vehicle_table import read_vehicle_tables, state_columns
+from marl_lanes.traffic.machine import team
 from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
 
 SMALL = {
@@ -27,6 +30,45 @@ SMALL = {
     "followers": {"mix": {"learned": 0.5, "late-yielder": 0.5}},
     "drivers": {"mix": {"normal": 0.5, "truck": 0.5}},
 }
+
+
+class SimulatedCrew:
+    """The simulated threads of a block's first dimension; outside a kernel a road has one."""
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._barriers = defaultdict(lambda: threading.Barrier(self.size))
+        self._values = defaultdict(dict)
+        self.most = 1
+
+    @property
+    def is_team(self):
+        return hasattr(threading.current_thread(), "threadIdx")
+
+    @property
+    def member(self):
+        return threading.current_thread().threadIdx.x if self.is_team else 0
+
+    @property
+    def size(self):
+        return threading.current_thread()._manager._block_dim[0] if self.is_team else 1
+
+    def gather(self, value):
+        if not self.is_team:
+            return [value]
+        thread = threading.current_thread()
+        of = *thread.blockIdx, thread.threadIdx.y
+        with self._lock:
+            self.most = max(self.most, self.member + 1)
+            barrier = self._barriers[of]
+        self._values[of][self.member] = value
+        barrier.wait()
+        values = [self._values[of][number] for number in range(self.size)]
+        barrier.wait()
+        return values
+
+
+team.crew = SimulatedCrew()
 
 
 def make(device):
@@ -91,6 +133,7 @@ def main():
     copy.restore(here.snapshot())
     drive(rng, [here, copy])
     assert_same(here, copy)
+    assert team.crew.most == there.gpu_roads.team_size == 32
     sys.stdout.write("equal\n")
 
 

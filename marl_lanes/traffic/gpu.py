@@ -13,16 +13,20 @@ from numpy.typing import NDArray
 from marl_lanes.traffic import gpu_kernels as kernels
 from marl_lanes.traffic.arguments import is_on_gpu
 from marl_lanes.traffic.host import Mask, Numbers
-from marl_lanes.traffic.machine.launches import Launch, configure
+from marl_lanes.traffic.machine.launches import Block, Launch, configure
 from marl_lanes.traffic.machine.state import State
+from marl_lanes.traffic.machine.team import MOST_MEMBERS
 from marl_lanes.traffic.parameters import Parameters
 from marl_lanes.traffic.step import RESET, SKIP, STEP, WARM_UP
 
-_THREADS = 128
+_BLOCK = (128,)
 """Threads of a block of the kernels that go through an array."""
 
-_GROUPS = 12 * 132
-"""Groups of threads that an H100 has at work: 12, by their registers, on each of its processors."""
+_GROUPS = kernels.GROUPS_AT_WORK * 132
+"""Groups of threads that an H100, with 132 processors, has at work at once."""
+
+_FEWEST_MEMBERS = 8
+"""Of a team: about half as many as there are vehicles on a road of the scenario ``paper``."""
 
 _STEPS_PER_CALL = 256
 """Time steps of a launch that takes many. Between two launches Ctrl-C works."""
@@ -56,7 +60,7 @@ class FetchedState:
 
 
 class GpuRoads:
-    """The roads that a GPU advances, one thread each, on a stream of the caller's.
+    """The roads that a GPU advances, a team of threads each, on a stream of the caller's.
 
     Nothing waits for the GPU but what gives numbers to the host.
 
@@ -109,8 +113,16 @@ class GpuRoads:
         warmup = parameters.constants[0]["warmup_high"] / parameters.constants[0]["time_step"]
         self._warmup_steps = math.ceil(warmup)
         self.state = FetchedState(self)
-        self.threads = _choose_threads(num_roads)
-        """Threads of a block of the kernel that advances roads."""
+        self.form_teams(_choose_team(num_roads))
+
+    def form_teams(self, size: int) -> None:
+        """Let so many threads advance a road: 1 to 32, a power of two. Only the time depends on it.
+
+        By default as many as there is room for, but not fewer than 8.
+        """
+        self.team_size = size
+        # Small blocks: few roads are spread over all processors.
+        self._block = (size, MOST_MEMBERS // size)
         self._prepare()
 
     def _prepare(self) -> None:
@@ -118,12 +130,12 @@ class GpuRoads:
         actions, behind, tables = self.actions_there, self.follower_actions_there, self.tables
         alarms = self._refused, self._alarms
         step = self._advance_arguments(STEP, self._every_road, 1)
-        self._step = Launch(kernels.advance, len(self._every_road), step, self.threads)
+        self._step = Launch(kernels.advance, len(self._every_road), step, self._block)
         has_longitudinal = actions.shape[2] > 1
         check = (actions, tables.agents, has_longitudinal, *alarms)
-        self._check = Launch(kernels.check_actions, actions.size, check, _THREADS)
+        self._check = Launch(kernels.check_actions, actions.size, check, _BLOCK)
         check = (behind, tables.followers, self._learner, *alarms)
-        self._check_followers = Launch(kernels.check_follower_actions, behind.size, check, _THREADS)
+        self._check_followers = Launch(kernels.check_follower_actions, behind.size, check, _BLOCK)
 
     @property
     def actions(self) -> NDArray[np.float64]:
@@ -301,11 +313,11 @@ class GpuRoads:
     def _make_repeated(
         self, kernel: Callable[..., None], number: int, given: tuple[Any, ...]
     ) -> Callable[[], None]:
-        return partial(self._repeat, Launch(kernel, number, given, _THREADS))
+        return partial(self._repeat, Launch(kernel, number, given, _BLOCK))
 
     def _run(self, mode: int, mask: DeviceArray, num_steps: int) -> None:
         given = self._advance_arguments(mode, mask, num_steps)
-        self._launch(kernels.advance, len(mask), *given, threads=self.threads)
+        self._launch(kernels.advance, len(mask), *given, block=self._block)
 
     def _advance_arguments(self, mode: int, mask: DeviceArray, num_steps: int) -> tuple[Any, ...]:
         actions = self.actions_there, self.follower_actions_there
@@ -336,10 +348,10 @@ class GpuRoads:
         return self._mask
 
     def _launch(
-        self, kernel: Callable[..., None], number: int, *given: Any, threads: int = _THREADS
+        self, kernel: Callable[..., None], number: int, *given: Any, block: Block = _BLOCK
     ) -> None:
         with cuda.gpus[self._gpu]:
-            configure(kernel, number, threads, self._handle)(*given)
+            configure(kernel, number, block, self._handle)(*given)
 
     def _repeat(self, launch: Launch) -> None:
         with cuda.gpus[self._gpu]:
@@ -363,15 +375,12 @@ class GpuRoads:
         self.put(actions, kept["follower_actions"])
 
 
-def _choose_threads(num_roads: int) -> int:
-    """Of a block, at most a group of 32: fewer, if then all blocks are still at work at once.
-
-    A group takes every branch that one of its roads takes.
-    """
-    for threads in (8, 16):
-        if num_roads <= _GROUPS * threads:
-            return threads
-    return 32
+def _choose_team(num_roads: int) -> int:
+    """Members of a road's team: as many as there are threads for that are at work at once."""
+    size = MOST_MEMBERS
+    while size > _FEWEST_MEMBERS and num_roads * size > _GROUPS * MOST_MEMBERS:
+        size //= 2
+    return size
 
 
 def _empty(shape: tuple[int, ...], dtype: Any) -> DeviceArray:

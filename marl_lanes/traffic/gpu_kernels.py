@@ -1,23 +1,35 @@
 """The kernels of a GPU: the step of step.py compiled for CUDA, and what surrounds it there."""
 
 import math
-from typing import Any
+from typing import Any, cast
 
+import numba
 from numba import cuda
 
 from marl_lanes.traffic.command.phases import is_acting
 from marl_lanes.traffic.machine.state import NONE, Outcome
+from marl_lanes.traffic.machine.team import MOST_MEMBERS
 from marl_lanes.traffic.readout import read_changer, read_follower
 from marl_lanes.traffic.step import run
 
 _UNFINISHED = int(Outcome.UNFINISHED)
+
+GROUPS_AT_WORK = 16
+"""Groups of threads that one of a GPU's processors is to have at work at once, each a block.
+
+That leaves 128 registers for each thread; with all that it would take, there were 11 groups.
+"""
+
+_LIMITS: dict[str, Any] = {"launch_bounds": (MOST_MEMBERS, GROUPS_AT_WORK)}
+if cast("Any", numba.config).ENABLE_CUDASIM:
+    _LIMITS = {}
 
 REFUSED, IS_FULL = 0, 1
 """What ``alarms`` holds: the number of a refused action, 1 for the first one of the changers and -1
 for that of the followers; and whether a road is full."""
 
 
-@cuda.jit
+@cuda.jit(**_LIMITS)
 def advance(
     mode: int,
     num_steps: int,
@@ -41,7 +53,9 @@ def advance(
     features: Any,
     follower_features: Any,
 ) -> None:
-    """``run`` with one road for each thread; nothing once an action was refused.
+    """``run`` with one road for each team of threads; nothing once an action was refused.
+
+    A block's first dimension is a team, its second one counts the teams.
 
     Args:
         mode: and the next one, as for ``run``.
@@ -51,7 +65,8 @@ def advance(
     """
     if refused[0] != 0:
         return
-    for env in range(cuda.grid(1), mask.shape[0], cuda.gridsize(1)):
+    first = cuda.blockIdx.x * cuda.blockDim.y + cuda.threadIdx.y
+    for env in range(first, mask.shape[0], cuda.gridDim.x * cuda.blockDim.y):
         run(
             env,
             env + 1,

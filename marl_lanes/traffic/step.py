@@ -7,15 +7,11 @@ point ``run`` takes whole arrays and a range of roads, so that threads can share
 import math
 from typing import Any
 
-from marl_lanes.traffic.command.outcome import find_outcome
 from marl_lanes.traffic.command.phases import (
-    change_phase,
     clear_agent,
     clear_ended,
-    end_commands,
     give_commands,
     is_steering,
-    lateral_deviation,
 )
 from marl_lanes.traffic.driving.acceleration import accelerate
 from marl_lanes.traffic.driving.yielding import move_over
@@ -28,14 +24,23 @@ from marl_lanes.traffic.flow.collisions import (
 )
 from marl_lanes.traffic.flow.departures import clear_road, depart
 from marl_lanes.traffic.machine.compiled import compiled, internal
-from marl_lanes.traffic.machine.convergence import converge
 from marl_lanes.traffic.machine.prefetch import prefetch
-from marl_lanes.traffic.machine.state import NONE, Outcome, Phase
+from marl_lanes.traffic.machine.state import NONE, Outcome
+from marl_lanes.traffic.machine.team import (
+    any_member,
+    is_team,
+    least,
+    meet,
+    member,
+    most,
+    team_size,
+)
 from marl_lanes.traffic.road.geometry import is_off_road, road_turn_rate
 from marl_lanes.traffic.road.lane_keeping import keep_lane
 from marl_lanes.traffic.road.motion import integrate
-from marl_lanes.traffic.road.neighbors import find_agent_neighbors, find_rank, insert_by_position
-from marl_lanes.traffic.roles.changer import Scene, Step, observe_changer, pay_changer
+from marl_lanes.traffic.road.neighbors import insert_by_position
+from marl_lanes.traffic.roles.agents import judge, renew
+from marl_lanes.traffic.roles.changer import Scene
 from marl_lanes.traffic.roles.pairing import clear_follower, pair
 
 STEP = 0
@@ -44,13 +49,6 @@ WARM_UP = 2
 RESET = 3
 """What ``run`` does with a road."""
 
-_ABSENT = int(Phase.ABSENT)
-_ENGAGED = int(Phase.ENGAGED)
-_UNFINISHED = int(Outcome.UNFINISHED)
-_COMPLETED = int(Outcome.COMPLETED)
-_COLLISION = int(Outcome.COLLISION)
-_OFF_ROAD = int(Outcome.OFF_ROAD)
-_MISSED = int(Outcome.MISSED)
 _HORIZON = int(Outcome.HORIZON)
 
 
@@ -74,7 +72,7 @@ def move(
     is_leaving = is_command_due = False
     furthest, nearest, left, right = -math.inf, math.inf, 0.0, 0.0
     bound = constants.max_yaw_acceleration
-    for rank in range(road.num_vehicles):
+    for rank in range(member(), road.num_vehicles, team_size()):
         car = vehicles[order[rank]]
         turn_rate = road_turn_rate(car, arcs)
         if car.agent > NONE and is_steering(agents[car.agent]):
@@ -87,7 +85,8 @@ def move(
         furthest, nearest = max(furthest, car.advance), min(nearest, car.advance)
         sideways = car.lateral_position - before
         left, right = max(left, sideways), min(right, sideways)
-        insert_by_position(order, rank, vehicles)
+        if not is_team():
+            insert_by_position(order, rank, vehicles)
         car.changer = NONE
         if is_off_road(car, extent, constants):
             car.fate = STRAYS
@@ -97,85 +96,22 @@ def move(
             is_leaving = True
         elif car.position >= car.command_position:
             is_command_due = True
-    return is_leaving, is_command_due, furthest - nearest, left - right
+    if is_team():
+        meet()
+        if any_member(_has_overtaken(road, order, vehicles)) and member() == 0:
+            for rank in range(1, road.num_vehicles):
+                insert_by_position(order, rank, vehicles)
+    along, across = most(furthest) - least(nearest), most(left) - least(right)
+    return any_member(is_leaving), any_member(is_command_due), along, across
 
 
 @internal
-def judge(scene: Any, observations: Any, features: Any) -> None:
-    """Set the reward of every live agent for the step, and end the commands that are over."""
-    road, vehicles, order, agents = scene.road, scene.vehicles, scene.order, scene.agents
-    arcs, constants = scene.arcs, scene.constants
-    has_ended = False
-    index, unseen = -1, road.num_live
-    while unseen > 0:
-        converge()
-        index += 1
-        while agents[index].phase == _ABSENT:
-            index += 1
-        agent = agents[index]
-        unseen -= 1
-        car = vehicles[agent.vehicle]
-        deviation = lateral_deviation(agent, car, constants)
-        turning = car.yaw_rate - road_turn_rate(car, arcs)
-        outcome = find_outcome(agent, car, deviation, turning, road, constants)
-        if is_steering(agent):
-            agent.steering_steps += 1
-        step = Step(agent, car, deviation, turning, outcome, constants)
-        pay_changer(agent, constants.changer_weights, step)
-        if outcome == _UNFINISHED:
-            continue
-        rank = find_rank(agent.vehicle, order)
-        find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
-        observe_changer(features, observations[index], agent, car, scene)
-        agent.outcome = outcome
-        has_ended = True
-    if has_ended:
-        # After all observations: until it ends, an engaged agent counts as in its target lane.
-        end_commands(road, vehicles, agents, scene.profiles, constants)
-
-
-@internal
-def renew(scene: Any, observations: Any, features: Any) -> None:
-    """Update neighbors, phase and observation of every live agent, and its follower.
-
-    Phases change from the front of the road to its rear, so a gap that one agent accepts is taken
-    for the next. The rest uses the state after all changes, so the order of the agent slots has no
-    influence.
-    """
-    road, vehicles, order, agents = scene.road, scene.vehicles, scene.order, scene.agents
-    has_changed = False
-    rank, unseen = -1, road.num_live
-    while unseen > 0:
-        converge()
-        rank += 1
-        while vehicles[order[rank]].agent == NONE:
-            rank += 1
-        car = vehicles[order[rank]]
-        unseen -= 1
-        agent = agents[car.agent]
-        find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
-        phase = agent.phase
-        turning = car.yaw_rate - road_turn_rate(car, scene.arcs)
-        change_phase(agent, vehicles, turning, scene.profiles, scene.constants)
-        has_changed = has_changed or agent.phase != phase
-    rank, unseen = -1, road.num_live
-    while unseen > 0:
-        converge()
-        rank += 1
-        while vehicles[order[rank]].agent == NONE:
-            rank += 1
-        car = vehicles[order[rank]]
-        unseen -= 1
-        index = car.agent
-        agent = agents[index]
-        if has_changed:
-            find_agent_neighbors(agent, rank, order, road.num_vehicles, vehicles, agents)
-        observe_changer(features, observations[index], agent, car, scene)
-        follower = agent.target_follower
-        if agent.phase == _ENGAGED and follower > NONE:
-            nearest = vehicles[follower].changer
-            if nearest == NONE or car.position < vehicles[nearest].position:
-                vehicles[follower].changer = agent.vehicle
+def _has_overtaken(road: Any, order: Any, vehicles: Any) -> bool:
+    """Whether one of the member's vehicles is ahead of the one before it in the order."""
+    for rank in range(member() + 1, road.num_vehicles, team_size()):
+        if vehicles[order[rank - 1]].position < vehicles[order[rank]].position:
+            return True
+    return False
 
 
 @internal
@@ -217,6 +153,80 @@ def clear(
     follower_observations[:] = 0.0
 
 
+@internal
+def advance(
+    scene: Any,
+    lanes: Any,
+    followers: Any,
+    collisions: Any,
+    actions: Any,
+    follower_actions: Any,
+    observations: Any,
+    follower_observations: Any,
+    dispositions: Any,
+    features: Any,
+    follower_features: Any,
+    every_vehicle: Any,
+    after: int,
+) -> None:
+    """A time step of a road: move over, drive, move, judge, remove, depart, command, renew, pair.
+
+    ``every_vehicle`` and ``after`` are those of ``accelerate``.
+    """
+    road, vehicles, order, agents = scene.road, scene.vehicles, scene.order, scene.agents
+    profiles, arcs, p = scene.profiles, scene.arcs, scene.constants
+    if member() == 0:
+        clear_ended(road, agents, observations)
+        free_slots(road, vehicles)
+        if p.is_moving_over_allowed:
+            move_over(road, order, vehicles, agents, profiles, arcs, p)
+    meet()
+    accelerate(
+        road,
+        lanes,
+        vehicles,
+        order,
+        agents,
+        followers,
+        actions,
+        follower_actions,
+        profiles,
+        arcs,
+        p,
+        every_vehicle,
+        after,
+    )
+    meet()
+    is_leaving, is_command_due, along, across = move(
+        road, vehicles, order, agents, actions, profiles, arcs, p
+    )
+    if member() == 0:
+        road.step += 1
+    meet()
+    if detect_collisions(road, along, across, vehicles, order, agents, collisions, profiles, p):
+        is_leaving = True
+    if road.num_live > 0:
+        judge(scene, observations, features)
+    meet()
+    if member() == 0:
+        if is_leaving:
+            remove_vehicles(road, vehicles, order)
+        depart(road, lanes, vehicles, order, agents, p, profiles, dispositions, arcs)
+        # A vehicle may enter at its command position.
+        if is_command_due or p.command_low == 0.0:
+            give_commands(road, vehicles, order, agents, p)
+    meet()
+    if road.num_live > 0:
+        renew(scene, observations, features)
+    meet()
+    if p.num_external > 0:
+        pair(scene, followers, follower_observations, follower_features)
+    meet()
+    if member() == 0:
+        end_episode(road, agents, p)
+    meet()
+
+
 @compiled
 def run(
     start: int,
@@ -244,9 +254,8 @@ def run(
 ) -> None:
     """Advance the masked roads from ``start`` to ``stop``; the others keep every byte.
 
-    A time step: move over, drive, move, judge, remove, depart, command, renew, pair. It is one
-    function with one entry point, because the compiler optimises all called functions again at each
-    level of calls.
+    It is one function with one entry point, because the compiler optimises all called functions
+    again at each level of calls. All members of a road's team call it with the same arguments.
 
     Args:
         start: first road.
@@ -276,47 +285,26 @@ def run(
         behind, seen_behind = followers[env], follower_observations[env]
         scene = Scene(road, cars, ranks, live, profiles, arcs, p)
         if mode == RESET:
-            clear(road, lane, cars, live, behind, crashes, seen, seen_behind, profiles, p)
+            if member() == 0:
+                clear(road, lane, cars, live, behind, crashes, seen, seen_behind, profiles, p)
+            meet()
         for _ in range(num_steps):
             if mode == SKIP and (road.num_live > 0 or road.is_done):
                 break
             if mode == WARM_UP and road.step >= 0:
                 break
-            clear_ended(road, live, seen)
-            free_slots(road, cars)
-            if p.is_moving_over_allowed:
-                move_over(road, ranks, cars, live, profiles, arcs, p)
-            accelerate(
-                road,
+            advance(
+                scene,
                 lane,
-                cars,
-                ranks,
-                live,
                 behind,
+                crashes,
                 actions[env],
                 follower_actions[env],
-                profiles,
-                arcs,
-                p,
+                seen,
+                seen_behind,
+                dispositions,
+                features,
+                follower_features,
                 vehicles,
                 after,
             )
-            is_leaving, is_command_due, along, across = move(
-                road, cars, ranks, live, actions[env], profiles, arcs, p
-            )
-            road.step += 1
-            if detect_collisions(road, along, across, cars, ranks, live, crashes, profiles, p):
-                is_leaving = True
-            if road.num_live > 0:
-                judge(scene, seen, features)
-            if is_leaving:
-                remove_vehicles(road, cars, ranks)
-            depart(road, lane, cars, ranks, live, p, profiles, dispositions, arcs)
-            # A vehicle may enter at its command position.
-            if is_command_due or p.command_low == 0.0:
-                give_commands(road, cars, ranks, live, p)
-            if road.num_live > 0:
-                renew(scene, seen, features)
-            if p.num_external > 0:
-                pair(scene, behind, seen_behind, follower_features)
-            end_episode(road, live, p)

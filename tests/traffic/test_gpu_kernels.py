@@ -8,17 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gpu_compiler import compile_ptx
+from gpu_compiler import build, compile_ptx
 
 from marl_lanes import load_scenario
+from marl_lanes.traffic import step
 from marl_lanes.traffic.machine.state import allocate
+from marl_lanes.traffic.machine.team import MOST_MEMBERS
 from marl_lanes.traffic.parameters import array_sizes, make_parameters
 from marl_lanes.traffic.readout import changer_columns, follower_columns
 from marl_lanes.traffic.road.neighbors import neighbor_in_lane
 
 CAPABILITIES = [(8, 0), (9, 0)]
 MOST_STACK = 256
-"""[bytes] Of a thread: arrays that it indexes with what is known only at run time."""
+"""[bytes] Of a thread: what its registers do not hold."""
+REGISTERS = 65_536
+"""Of each processor of a GPU with either capability."""
 OTHERS = (
     "fill_rows",
     "seed_roads",
@@ -56,8 +60,8 @@ def arguments():
     }
 
 
-def compile_kernel(name, capability, monkeypatch):
-    """Its PTX."""
+def kernel_arguments(name):
+    """A kernel, and its arguments in order."""
     from marl_lanes.traffic import gpu_kernels
 
     kernel = getattr(gpu_kernels, name)
@@ -69,34 +73,43 @@ def compile_kernel(name, capability, monkeypatch):
     if name == "read_vehicles":
         given["rows"] = np.zeros((2, 3, 7), np.float32)
     names = inspect.signature(kernel.py_func).parameters
-    return compile_ptx(kernel.py_func, [given[one] for one in names], monkeypatch, capability)
+    return kernel, [given[one] for one in names]
 
 
-def check(ptx, capability):
+def check(name, capability, monkeypatch):
+    kernel, given = kernel_arguments(name)
+    ptx = compile_ptx(kernel.py_func, given, monkeypatch, capability)
     assert re.search(rf"^\.target sm_{capability[0]}{capability[1]}$", ptx, re.MULTILINE)
     assert ".entry" in ptx
     stack = sum(int(size) for size in re.findall(r"\.local .*__local_depot\d+\[(\d+)\]", ptx))
     assert stack <= MOST_STACK
 
 
+@pytest.mark.parametrize("capability", CAPABILITIES)
 @pytest.mark.parametrize("name", OTHERS)
-def test_what_surrounds_the_step_compiles(name, monkeypatch):
-    check(compile_kernel(name, CAPABILITIES[0], monkeypatch), CAPABILITIES[0])
+def test_what_surrounds_the_step_compiles(name, capability, monkeypatch):
+    check(name, capability, monkeypatch)
 
 
-@pytest.mark.long
+def count_meetings():
+    """Where the members of a team meet or vote, in the sources of the step."""
+    calls = r"(?<!def )\b(meet|any_member)\("
+    sources = Path(step.__file__).parent.rglob("*.py")
+    texts = [path.read_text(encoding="utf-8") for path in sources if path.name != "team.py"]
+    return sum(len(re.findall(calls, text)) for text in texts)
+
+
 @pytest.mark.parametrize("capability", CAPABILITIES)
 def test_the_step_compiles(capability, monkeypatch):
-    ptx = compile_kernel("advance", capability, monkeypatch)
-    check(ptx, capability)
+    from marl_lanes.traffic.gpu_kernels import GROUPS_AT_WORK
+
+    built = build(*kernel_arguments("advance"), monkeypatch, capability)
+    assert built.num_registers * MOST_MEMBERS * GROUPS_AT_WORK <= REGISTERS
+    assert built.stack <= MOST_STACK
     # The instruction; a function's name may have the word.
-    assert not re.search(r"^\s*prefetch", ptx, re.MULTILINE)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", OTHERS)
-def test_they_compile_for_the_newer_one(name, monkeypatch):
-    check(compile_kernel(name, CAPABILITIES[1], monkeypatch), CAPABILITIES[1])
+    assert not re.search(r"^\s*prefetch", built.ptx, re.MULTILINE)
+    # The compiler has neither doubled nor dropped one.
+    assert built.ptx.count("bar.warp.sync") == count_meetings()
 
 
 @pytest.mark.parametrize("stride", [-1, 1])
@@ -140,7 +153,7 @@ def test_simulated_it_is_the_cpu():
     assert done.stdout == "equal\n"
 
 
-def test_few_roads_are_spread_over_all_processors():
-    from marl_lanes.traffic.gpu import _choose_threads
+def test_few_roads_have_larger_teams():
+    from marl_lanes.traffic.gpu import _choose_team
 
-    assert [_choose_threads(number) for number in (1, 8192, 16384, 10**6)] == [8, 8, 16, 32]
+    assert [_choose_team(number) for number in (1, 2112, 2113, 8192, 10**6)] == [32, 32, 16, 8, 8]

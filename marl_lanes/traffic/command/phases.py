@@ -117,19 +117,30 @@ def give_commands(road: Any, vehicles: Any, order: Any, agents: Any, constants: 
 
 
 @internal
-def change_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, constants: Any) -> None:
-    """Engage, abort or return to waiting, by the gap rule and the vehicle's position."""
+def next_phase(agent: Any, vehicles: Any, turning: float, profiles: Any, constants: Any) -> int:
+    """Its phase after the step, by the gap rule and the vehicle's position.
+
+    It engages, aborts or returns to waiting.
+    """
     car = vehicles[agent.vehicle]
     if agent.phase == _WAITING:
         if is_target_gap_safe(agent, vehicles, profiles, constants):
-            agent.phase = _ENGAGED
+            return _ENGAGED
     elif agent.phase == _ENGAGED:
         is_over_marking = is_body_in(car, agent.target_lane)
         if not is_over_marking and not is_target_gap_safe(agent, vehicles, profiles, constants):
-            agent.phase = _ABORTING
-            agent.num_aborts += 1
+            return _ABORTING
     elif has_arrived(lateral_deviation(agent, car, constants), car, turning, constants):
-        agent.phase = _WAITING
+        return _WAITING
+    return int(agent.phase)
+
+
+@internal
+def enter_phase(agent: Any, phase: int) -> None:
+    """Set another phase."""
+    agent.phase = phase
+    if phase == _ABORTING:
+        agent.num_aborts += 1
 
 
 @internal

@@ -8,12 +8,12 @@ from marl_lanes.traffic.driving.gap_seeking import desired_speed_of, seek_or_hol
 from marl_lanes.traffic.following.car_following import follow
 from marl_lanes.traffic.following.idm import free_road_term, idm_acceleration
 from marl_lanes.traffic.machine.compiled import internal
-from marl_lanes.traffic.machine.convergence import converge
 from marl_lanes.traffic.machine.prefetch import prefetch
 from marl_lanes.traffic.machine.state import NONE, Phase
+from marl_lanes.traffic.machine.team import is_team, member, team_size
 from marl_lanes.traffic.road.geometry import is_body_in
 from marl_lanes.traffic.road.motion import attainable
-from marl_lanes.traffic.road.neighbors import find_rank
+from marl_lanes.traffic.road.neighbors import body_ahead, entering_ahead, find_rank
 
 _ENGAGED = int(Phase.ENGAGED)
 
@@ -68,14 +68,90 @@ def _is_alone(car: Any) -> bool:
 
 @internal
 def _accelerate_alone(
-    car: Any, lane: Any, vehicles: Any, profiles: Any, arcs: Any, constants: Any
+    car: Any, front: int, vehicles: Any, profiles: Any, arcs: Any, constants: Any
 ) -> float:
-    """The acceleration of such a vehicle behind the last one seen in its lane [m/s^2]."""
-    acceleration = drive_alone(car, lane.nearest, vehicles, profiles, constants)
+    """The acceleration of such a vehicle behind the nearest one in its lane [m/s^2]."""
+    acceleration = drive_alone(car, front, vehicles, profiles, constants)
     if arcs.shape[0] > 0:
         allowed = comfortable_in_curves(car, profiles[car.profile], arcs, constants)
         acceleration = min(acceleration, allowed)
     return float(max(acceleration, -constants.max_braking))
+
+
+@internal
+def _accelerate_among(
+    rank: int,
+    car: Any,
+    count: int,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    followers: Any,
+    actions: Any,
+    follower_actions: Any,
+    profiles: Any,
+    arcs: Any,
+    constants: Any,
+) -> float:
+    """The acceleration of any vehicle, by its disposition, its phase or an action [m/s^2]."""
+    acceleration = drive_among(
+        rank, car, lanes, vehicles, order, count, agents, profiles, constants
+    )
+    if arcs.shape[0] > 0:
+        allowed = comfortable_in_curves(car, profiles[car.profile], arcs, constants)
+        acceleration = min(acceleration, allowed)
+    if car.agent > NONE and constants.has_longitudinal:
+        agents[car.agent].car_following = attainable(acceleration, car, constants)
+        acceleration = drive_by_action(
+            rank,
+            car,
+            actions[car.agent, 1],
+            constants.longitudinal_max_acceleration,
+            constants.longitudinal_max_braking,
+            constants.longitudinal_max_speed,
+            True,
+            lanes,
+            vehicles,
+            order,
+            agents,
+            profiles,
+            arcs,
+            constants,
+        )
+    elif car.changer > NONE and constants.num_external > 0:
+        index = vehicles[car.changer].agent
+        if followers[index].vehicle == order[rank]:
+            acceleration = drive_by_action(
+                rank,
+                car,
+                follower_actions[index, 0],
+                constants.external_max_acceleration,
+                constants.external_max_braking,
+                constants.external_max_speed,
+                constants.is_external_guarded,
+                lanes,
+                vehicles,
+                order,
+                agents,
+                profiles,
+                arcs,
+                constants,
+            )
+    return float(max(acceleration, -constants.max_braking))
+
+
+@internal
+def _note(slot: int, car: Any, lanes: Any, agents: Any) -> None:
+    """Note the vehicle as the last one seen in its lanes."""
+    # A body overlaps one or two lanes, or more if it is turned across the road.
+    for lane in range(car.lane_low, car.lane_high + 1):
+        lanes[lane].nearest = slot
+    if car.agent > NONE:
+        if agents[car.agent].phase == _ENGAGED:
+            lanes[agents[car.agent].target_lane].nearest_engaged = slot
+    elif car.moving_over != 0:
+        lanes[car.lane].nearest_engaged = slot
 
 
 @internal
@@ -100,78 +176,52 @@ def accelerate(
 
     One sweep goes from the front of the road to its rear. Each lane stores the last vehicle seen in
     it: the leader of the next one. In the same loop the vehicles of the road ``after`` are
-    prefetched from ``every_vehicle``, (E, V).
+    prefetched from ``every_vehicle``, (E, V). A team shares the vehicles out, and fills in the
+    lanes afterwards.
     """
-    for lane in range(lanes.shape[0]):
-        lanes[lane].nearest = NONE
-        lanes[lane].nearest_engaged = NONE
     size = vehicles.itemsize
-    rank, count = 0, road.num_vehicles
-    while rank < count:
-        converge()
-        while rank < count and _is_alone(vehicles[order[rank]]):
-            prefetch(every_vehicle, after, rank * size, size)
-            slot = order[rank]
-            car = vehicles[slot]
-            only = lanes[car.lane_low]
-            car.acceleration = _accelerate_alone(car, only, vehicles, profiles, arcs, constants)
-            only.nearest = slot
-            rank += 1
-        if rank == count:
-            break
+    count = road.num_vehicles
+    first, stop, stride = member(), count, team_size()
+    if is_team() and constants.is_acc:
+        # Each vehicle takes the new acceleration of its leader.
+        first, stop, stride = 0, count if member() == 0 else 0, 1
+    if not is_team():
+        for lane in range(lanes.shape[0]):
+            lanes[lane].nearest = NONE
+            lanes[lane].nearest_engaged = NONE
+    for rank in range(first, stop, stride):
         prefetch(every_vehicle, after, rank * size, size)
         slot = order[rank]
         car = vehicles[slot]
-        acceleration = drive_among(
-            rank, car, lanes, vehicles, order, count, agents, profiles, constants
+        if _is_alone(car):
+            lane = car.lane_low
+            front = body_ahead(rank, lane, lanes, order, vehicles)
+            car.acceleration = _accelerate_alone(car, front, vehicles, profiles, arcs, constants)
+            if not is_team():
+                lanes[lane].nearest = slot
+            continue
+        car.acceleration = _accelerate_among(
+            rank,
+            car,
+            count,
+            lanes,
+            vehicles,
+            order,
+            agents,
+            followers,
+            actions,
+            follower_actions,
+            profiles,
+            arcs,
+            constants,
         )
-        if arcs.shape[0] > 0:
-            allowed = comfortable_in_curves(car, profiles[car.profile], arcs, constants)
-            acceleration = min(acceleration, allowed)
-        if car.agent > NONE and constants.has_longitudinal:
-            agents[car.agent].car_following = attainable(acceleration, car, constants)
-            wanted = actions[car.agent, 1]
-            acceleration = drive_by_action(
-                car,
-                wanted,
-                constants.longitudinal_max_acceleration,
-                constants.longitudinal_max_braking,
-                constants.longitudinal_max_speed,
-                True,
-                lanes,
-                vehicles,
-                agents,
-                profiles,
-                arcs,
-                constants,
+        if not is_team():
+            _note(slot, car, lanes, agents)
+    if is_team():
+        for lane in range(member(), lanes.shape[0], team_size()):
+            lanes[lane].nearest = body_ahead(count, lane, lanes, order, vehicles)
+            lanes[lane].nearest_engaged = entering_ahead(
+                count, lane, lanes, order, vehicles, agents
             )
-        elif car.changer > NONE and constants.num_external > 0:
-            index = vehicles[car.changer].agent
-            if followers[index].vehicle == slot:
-                wanted = follower_actions[index, 0]
-                acceleration = drive_by_action(
-                    car,
-                    wanted,
-                    constants.external_max_acceleration,
-                    constants.external_max_braking,
-                    constants.external_max_speed,
-                    constants.is_external_guarded,
-                    lanes,
-                    vehicles,
-                    agents,
-                    profiles,
-                    arcs,
-                    constants,
-                )
-        car.acceleration = max(acceleration, -constants.max_braking)
-        # A body overlaps one or two lanes, or more if it is turned across the road.
-        for lane in range(car.lane_low, car.lane_high + 1):
-            lanes[lane].nearest = slot
-        if car.agent > NONE:
-            if agents[car.agent].phase == _ENGAGED:
-                lanes[agents[car.agent].target_lane].nearest_engaged = slot
-        elif car.moving_over != 0:
-            lanes[car.lane].nearest_engaged = slot
-        rank += 1
     # Departures take the first free slot, so vehicles are in the first slots, with a few free.
     prefetch(every_vehicle, after, count * size, _SPARE_SLOTS * size)

@@ -7,7 +7,7 @@ from marl_lanes.traffic.following.curves import curve_acceleration
 from marl_lanes.traffic.following.idm import interaction_term
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import NONE, Phase
-from marl_lanes.traffic.road.neighbors import bumper_gap
+from marl_lanes.traffic.road.neighbors import body_ahead, bumper_gap, entering_ahead
 
 _ENGAGED = int(Phase.ENGAGED)
 
@@ -23,10 +23,12 @@ def _interaction(
 
 @internal
 def _guard(
+    rank: int,
     car: Any,
     limit: float,
     lanes: Any,
     vehicles: Any,
+    order: Any,
     agents: Any,
     profiles: Any,
     arcs: Any,
@@ -42,13 +44,15 @@ def _guard(
     headway, s0 = constants.gap_time, constants.gap_minimum
     interaction = 0.0
     for lane in range(car.lane_low, car.lane_high + 1):
-        front = lanes[lane].nearest
+        front = body_ahead(rank, lane, lanes, order, vehicles)
         if front > NONE:
             term = _interaction(car, vehicles[front], headway, scale, s0, profiles)
             interaction = max(interaction, term)
     if car.agent > NONE and agents[car.agent].phase == _ENGAGED:
-        target = lanes[agents[car.agent].target_lane]
-        for front in (target.nearest, target.nearest_engaged):
+        target = agents[car.agent].target_lane
+        body = body_ahead(rank, target, lanes, order, vehicles)
+        entering = entering_ahead(rank, target, lanes, order, vehicles, agents)
+        for front in (body, entering):
             if front > NONE:
                 term = _interaction(car, vehicles[front], headway, scale, s0, profiles)
                 interaction = max(interaction, term)
@@ -60,6 +64,7 @@ def _guard(
 
 @internal
 def drive_by_action(
+    rank: int,
     car: Any,
     action: float,
     max_acceleration: float,
@@ -68,6 +73,7 @@ def drive_by_action(
     is_guarded: bool,
     lanes: Any,
     vehicles: Any,
+    order: Any,
     agents: Any,
     profiles: Any,
     arcs: Any,
@@ -81,6 +87,17 @@ def drive_by_action(
     room = (max_speed - car.speed) / constants.time_step
     acceleration = min(acceleration, max(room, 0.0))
     if is_guarded:
-        limit = _guard(car, max_acceleration, lanes, vehicles, agents, profiles, arcs, constants)
+        limit = _guard(
+            rank,
+            car,
+            max_acceleration,
+            lanes,
+            vehicles,
+            order,
+            agents,
+            profiles,
+            arcs,
+            constants,
+        )
         acceleration = min(acceleration, limit)
     return float(acceleration)

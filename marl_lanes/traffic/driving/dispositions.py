@@ -20,6 +20,7 @@ from marl_lanes.traffic.following.idm import free_road_term, idm_acceleration
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import NONE, Disposition, Phase
 from marl_lanes.traffic.road.geometry import is_body_in
+from marl_lanes.traffic.road.neighbors import body_ahead, entering_ahead
 
 _COOPERATIVE = int(Disposition.COOPERATIVE)
 _ADVERSARIAL = int(Disposition.ADVERSARIAL)
@@ -56,7 +57,16 @@ def yield_to(car: Any, changer: Any, profiles: Any, constants: Any) -> float:
 
 @internal
 def _toward_lane(
-    car: Any, desired_speed: float, lane: Any, vehicles: Any, profiles: Any, constants: Any
+    rank: int,
+    car: Any,
+    desired_speed: float,
+    lane: int,
+    lanes: Any,
+    vehicles: Any,
+    order: Any,
+    agents: Any,
+    profiles: Any,
+    constants: Any,
 ) -> float:
     """The smallest acceleration toward the leaders in the lane and moving to it [m/s^2].
 
@@ -66,7 +76,9 @@ def _toward_lane(
     headway, scale = profile.time_headway, profile.braking_scale
     free_road = free_road_term(car.speed, desired_speed, profile.exponent)
     limit, acceleration = profile.max_acceleration, math.inf
-    for front in (lane.nearest, lane.nearest_engaged):
+    body = body_ahead(rank, lane, lanes, order, vehicles)
+    entering = entering_ahead(rank, lane, lanes, order, vehicles, agents)
+    for front in (body, entering):
         if front > NONE:
             toward = follow(
                 car, vehicles[front], free_road, limit, headway, scale, profiles, constants
@@ -114,7 +126,7 @@ def drive_among(
     free_road = free_road_term(car.speed, desired_speed, profile.exponent)
     acceleration = min(idm_acceleration(limit, free_road, 0.0, constants.is_sum_form), seeking)
     for lane in range(car.lane_low, car.lane_high + 1):
-        front = lanes[lane].nearest
+        front = body_ahead(rank, lane, lanes, order, vehicles)
         if front > NONE:
             toward = follow(
                 car, vehicles[front], free_road, limit, headway, scale, profiles, constants
@@ -122,10 +134,14 @@ def drive_among(
             acceleration = min(acceleration, toward)
     if phase == _ENGAGED:
         lane = agents[car.agent].target_lane
-        beyond = _toward_lane(car, own_speed, lanes[lane], vehicles, profiles, constants)
+        beyond = _toward_lane(
+            rank, car, own_speed, lane, lanes, vehicles, order, agents, profiles, constants
+        )
         acceleration = min(acceleration, max(beyond, holding))
     elif car.moving_over != 0:
-        beyond = _toward_lane(car, own_speed, lanes[car.lane], vehicles, profiles, constants)
+        beyond = _toward_lane(
+            rank, car, own_speed, car.lane, lanes, vehicles, order, agents, profiles, constants
+        )
         acceleration = min(acceleration, beyond)
         # It makes room for a changer to its old lane, so it no longer brakes for that one.
         has_changer = has_changer and agents[vehicles[car.changer].agent].target_lane == car.lane

@@ -127,13 +127,15 @@ def aim_at(
     top_speed = constants.gap_speed_factor * car.desired_speed
     ahead = front if front > NONE else rear
     pace = min(vehicles[order[ahead]].speed, top_speed)
-    low, high = _window(car, pace, front, rear, order, vehicles, profiles, constants)
-    if low > 0.0 and rear > NONE:
+    while True:
+        low, high = _window(car, pace, front, rear, order, vehicles, profiles, constants)
+        if low <= 0.0 or rear == NONE:
+            break
         # A driver that comes from behind must keep up with the gap's rear vehicle.
         faster = min(vehicles[order[rear]].speed, top_speed)
-        if faster > pace:
-            pace = faster
-            low, high = _window(car, pace, front, rear, order, vehicles, profiles, constants)
+        if faster <= pace:
+            break
+        pace = faster
     if low > high or low == math.inf or high == -math.inf:
         is_neither = low == math.inf and high == -math.inf
         return pace, math.inf, 0.0 if is_neither else 0.5 * (low + high)
@@ -171,55 +173,22 @@ def track(aim: float, pace: float, car: Any, profile: Any) -> float:
 
 
 @internal
-def seek_gap(
-    rank: int,
-    car: Any,
-    lane: int,
-    order: Any,
-    count: int,
-    vehicles: Any,
-    agents: Any,
-    profiles: Any,
-    constants: Any,
-) -> float:
-    """Acceleration of a waiting driver toward a gap in ``lane`` [m/s^2]; inf if it finds none.
-
-    The caller must limit it by car following behind the driver's own leader.
-    """
-    own = neighbor_rank(rank, car.lane, -1, order, count, vehicles, agents)
-    front = neighbor_rank(rank, lane, -1, order, count, vehicles, agents)
-    nearest = neighbor_rank(rank, lane, 1, order, count, vehicles, agents)
-    if front == NONE and nearest == NONE:
-        return math.inf
-    pace, way, aim = aim_at(car, front, nearest, order, vehicles, profiles, constants)
-    best = _time_to(way, pace, car, own, order, vehicles, profiles, constants)
-    is_found, far = False, car.position + constants.sensor_range
-    while front > NONE and not is_found and vehicles[order[front]].position < far:
-        rear, front = front, neighbor_rank(front, lane, -1, order, count, vehicles, agents)
-        speed, way, distance = aim_at(car, front, rear, order, vehicles, profiles, constants)
-        time = _time_to(way, speed, car, own, order, vehicles, profiles, constants)
-        is_found = way < math.inf
-        if time < best:
-            best, aim, pace = time, distance, speed
-    is_found, far, front = False, car.position - constants.sensor_range, nearest
-    while front > NONE and not is_found and vehicles[order[front]].position > far:
-        rear = neighbor_rank(front, lane, 1, order, count, vehicles, agents)
-        speed, way, distance = aim_at(car, front, rear, order, vehicles, profiles, constants)
-        time = _time_to(way, speed, car, own, order, vehicles, profiles, constants)
-        is_found = way < math.inf
-        if time < best:
-            best, aim, pace = time, distance, speed
-        front = rear
-    if best == math.inf:
-        return best
-    return track(aim, pace, car, profiles[car.profile])
+def _is_seen(rank: int, stride: int, car: Any, order: Any, vehicles: Any, constants: Any) -> bool:
+    """Whether there is a vehicle at the rank, within sensor range in that direction."""
+    if rank == NONE:
+        return False
+    position = vehicles[order[rank]].position
+    if stride < 0:
+        return bool(position < car.position + constants.sensor_range)
+    return bool(position > car.position - constants.sensor_range)
 
 
 @internal
-def hold_gap(
+def _approach_gap(
     rank: int,
     car: Any,
     lane: int,
+    is_seeking: bool,
     order: Any,
     count: int,
     vehicles: Any,
@@ -227,12 +196,42 @@ def hold_gap(
     profiles: Any,
     constants: Any,
 ) -> float:
-    """Acceleration that keeps a driver in the gap beside it [m/s^2]; inf in an empty ``lane``."""
-    front = neighbor_rank(rank, lane, -1, order, count, vehicles, agents)
-    rear = neighbor_rank(rank, lane, 1, order, count, vehicles, agents)
-    if front == NONE and rear == NONE:
+    """Acceleration toward the gap beside the driver or, if it seeks, the best one [m/s^2].
+
+    inf if ``lane`` is empty, or if it finds none. The caller must limit it by car following behind
+    the driver's own leader.
+    """
+    own = neighbor_rank(rank, car.lane, -1, order, count, vehicles, agents)
+    beside = neighbor_rank(rank, lane, -1, order, count, vehicles, agents)
+    nearest = neighbor_rank(rank, lane, 1, order, count, vehicles, agents)
+    if beside == NONE and nearest == NONE:
         return math.inf
-    pace, _, aim = aim_at(car, front, rear, order, vehicles, profiles, constants)
+    front, rear, stride = beside, nearest, 0
+    best, aim, pace = math.inf, 0.0, 0.0
+    # One loop, so that the compiled code of a gap is there once.
+    while True:
+        speed, way, distance = aim_at(car, front, rear, order, vehicles, profiles, constants)
+        time = 0.0
+        if is_seeking:
+            time = _time_to(way, speed, car, own, order, vehicles, profiles, constants)
+        if stride == 0 or time < best:
+            best, aim, pace = time, distance, speed
+        if not is_seeking:
+            break
+        # The next one ahead, until one has a window; then the next one behind.
+        edge = front if stride < 1 else rear
+        if stride != 0 and way < math.inf:
+            edge = NONE
+        if stride < 1:
+            stride = -1
+            if not _is_seen(edge, stride, car, order, vehicles, constants):
+                stride, edge = 1, nearest
+        if stride == 1 and not _is_seen(edge, stride, car, order, vehicles, constants):
+            break
+        other = neighbor_rank(edge, lane, stride, order, count, vehicles, agents)
+        front, rear = (other, edge) if stride < 0 else (edge, other)
+    if best == math.inf:
+        return best
     return track(aim, pace, car, profiles[car.profile])
 
 
@@ -254,14 +253,13 @@ def seek_or_hold(
     acceleration toward the target lane's leader while it is engaged and its body is not in that
     lane, otherwise -inf.
     """
-    lane = agent.target_lane
-    if agent.phase == _WAITING:
-        seeking = seek_gap(rank, car, lane, order, count, vehicles, agents, profiles, constants)
-        return seeking, -math.inf
-    if agent.phase == _ENGAGED and not is_body_in(car, lane):
-        holding = hold_gap(rank, car, lane, order, count, vehicles, agents, profiles, constants)
-        return math.inf, holding
-    return math.inf, -math.inf
+    lane, is_seeking = agent.target_lane, agent.phase == _WAITING
+    if not is_seeking and (agent.phase != _ENGAGED or is_body_in(car, lane)):
+        return math.inf, -math.inf
+    approach = _approach_gap(
+        rank, car, lane, is_seeking, order, count, vehicles, agents, profiles, constants
+    )
+    return (approach, -math.inf) if is_seeking else (math.inf, approach)
 
 
 @internal

@@ -4,8 +4,8 @@ import math
 from typing import Any
 
 from marl_lanes.traffic.machine.compiled import compiled, internal
-from marl_lanes.traffic.machine.convergence import converge
 from marl_lanes.traffic.machine.state import NONE, CollisionKind, Fate
+from marl_lanes.traffic.machine.team import any_member, is_team, meet, member, team_size
 from marl_lanes.traffic.road.geometry import half_extent
 from marl_lanes.traffic.road.neighbors import mean_length
 
@@ -125,6 +125,56 @@ def _record(
 
 
 @internal
+def _find_contact(
+    rear: Any, front: Any, is_swept: bool, profiles: Any, constants: Any
+) -> tuple[bool, bool, float]:
+    """Whether two vehicles collide in the step; ``rear`` is behind ``front`` after it.
+
+    ``is_swept``: whether there may be contacts that only looking along the step finds.
+
+    Returns:
+        Whether they do, whether ``front`` was behind before the step, and how far it was ahead of
+        ``rear`` before the step [m].
+    """
+    ahead = front.position - rear.position
+    before = ahead + (rear.speed - front.speed) * constants.time_step
+    is_hit, has_passed = is_overlapping(rear, front, profiles), False
+    if is_swept:
+        along = front.advance - rear.advance
+        across = _moves_aside(front, constants) - _moves_aside(rear, constants)
+        length = mean_length(rear, front, profiles)
+        width = profiles[rear.profile].half_width + profiles[front.profile].half_width
+        if _is_far(along, across, length, width):
+            has_passed = ahead < along
+            if not is_hit:
+                before = ahead - along
+                is_hit = is_crossing(rear, front, along, across, profiles)
+    return is_hit, has_passed, before
+
+
+@internal
+def _has_contact(
+    road: Any,
+    rank: int,
+    reach: float,
+    is_swept: bool,
+    vehicles: Any,
+    order: Any,
+    profiles: Any,
+    constants: Any,
+) -> bool:
+    """Whether a vehicle within ``reach`` behind the one at ``rank`` collides with it."""
+    front = vehicles[order[rank]]
+    for behind in range(rank + 1, road.num_vehicles):
+        rear = vehicles[order[behind]]
+        if front.position - rear.position >= reach:
+            return False
+        if _find_contact(rear, front, is_swept, profiles, constants)[0]:
+            return True
+    return False
+
+
+@internal
 def _compare(
     road: Any,
     rank: int,
@@ -137,28 +187,13 @@ def _compare(
     profiles: Any,
     constants: Any,
 ) -> None:
-    """Record the vehicles within ``reach`` behind the one at ``rank`` that collide with it.
-
-    ``is_swept``: whether there may be contacts that only looking along the step finds.
-    """
+    """Record the vehicles within ``reach`` behind the one at ``rank`` that collide with it."""
     front = vehicles[order[rank]]
     for behind in range(rank + 1, road.num_vehicles):
         rear = vehicles[order[behind]]
-        ahead = front.position - rear.position
-        if ahead >= reach:
+        if front.position - rear.position >= reach:
             break
-        before = ahead + (rear.speed - front.speed) * constants.time_step
-        is_hit, has_passed = is_overlapping(rear, front, profiles), False
-        if is_swept:
-            along = front.advance - rear.advance
-            across = _moves_aside(front, constants) - _moves_aside(rear, constants)
-            length = mean_length(rear, front, profiles)
-            width = profiles[rear.profile].half_width + profiles[front.profile].half_width
-            if _is_far(along, across, length, width):
-                has_passed = ahead < along
-                if not is_hit:
-                    before = ahead - along
-                    is_hit = is_crossing(rear, front, along, across, profiles)
+        is_hit, has_passed, before = _find_contact(rear, front, is_swept, profiles, constants)
         if is_hit:
             record = collisions[road.num_collisions % collisions.shape[0]]
             # The rear one is the one that was behind before the step.
@@ -190,34 +225,39 @@ def detect_collisions(
     Returns:
         Whether there is such a pair.
     """
-    num_before = road.num_collisions
     reach = constants.longest_diagonal
     is_swept = _is_far(along, across, constants.shortest_length, constants.narrowest_width)
     if is_swept:
         reach += along
-    position = vehicles[order[0]].position
-    rank, count = 1, road.num_vehicles
-    while rank < count:
-        converge()
-        ahead = math.inf
-        while rank < count and ahead - position >= reach:
-            ahead = position
-            position = vehicles[order[rank]].position
-            rank += 1
-        if ahead - position < reach:
-            _compare(
-                road,
-                rank - 2,
-                reach,
-                is_swept,
-                vehicles,
-                order,
-                agents,
-                collisions,
-                profiles,
-                constants,
+    if is_team():
+        # A record has a place in their order, so the first member writes them; they are rare.
+        is_found = False
+        for rank in range(member(), road.num_vehicles, team_size()):
+            is_found = is_found or _has_contact(
+                road, rank, reach, is_swept, vehicles, order, profiles, constants
             )
-    return bool(road.num_collisions > num_before)
+        if not any_member(is_found):
+            return False
+    num_before = road.num_collisions
+    if member() == 0:
+        position = vehicles[order[0]].position
+        for rank in range(1, road.num_vehicles):
+            ahead, position = position, vehicles[order[rank]].position
+            if ahead - position < reach:
+                _compare(
+                    road,
+                    rank - 1,
+                    reach,
+                    is_swept,
+                    vehicles,
+                    order,
+                    agents,
+                    collisions,
+                    profiles,
+                    constants,
+                )
+    meet()
+    return bool(is_team() or road.num_collisions > num_before)
 
 
 @internal

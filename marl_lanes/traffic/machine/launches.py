@@ -15,13 +15,17 @@ Kernel = Any
 """A function with ``cuda.jit``."""
 
 
-def configure(kernel: Kernel, number: int, threads: int, handle: int) -> Callable[..., None]:
-    """The kernel on a stream, with at least ``number`` threads in blocks of ``threads``."""
+Block = tuple[int, ...]
+"""Threads of a block along its dimensions; along the last one each has work of its own."""
+
+
+def configure(kernel: Kernel, number: int, block: Block, handle: int) -> Callable[..., None]:
+    """The kernel on a stream, in as many blocks as ``number`` pieces of work take."""
     stream = cuda.external_stream(handle) if handle else cuda.default_stream()
     with warnings.catch_warnings():
         # A few roads leave most of a GPU idle.
         warnings.simplefilter("ignore")
-        launch: Callable[..., None] = kernel[_count_blocks(number, threads), threads, stream]
+        launch: Callable[..., None] = kernel[_count_blocks(number, block), block, stream]
     return launch
 
 
@@ -30,15 +34,15 @@ class Launch:
 
     Args:
         kernel: compiled at the first launch.
-        number: threads that it needs.
+        number: pieces of work.
         arguments: arrays on the GPU, and numbers.
-        threads: of a block.
+        block: its shape.
     """
 
     def __init__(
-        self, kernel: Kernel, number: int, arguments: tuple[Any, ...], threads: int
+        self, kernel: Kernel, number: int, arguments: tuple[Any, ...], block: Block
     ) -> None:
-        self._kernel, self._number, self._threads = kernel, number, threads
+        self._kernel, self._number, self._block = kernel, number, block
         self._arguments = arguments
         self._prepared: dict[int, Callable[[], None]] = {}
 
@@ -46,22 +50,22 @@ class Launch:
         """Launch it on the stream with this handle, 0 for the default one."""
         prepared = self._prepared.get(handle)
         if prepared is None:
-            usual = configure(self._kernel, self._number, self._threads, handle)
+            usual = configure(self._kernel, self._number, self._block, handle)
             # This compiles it.
             usual(*self._arguments)
-            blocks = _count_blocks(self._number, self._threads)
-            prepared = _prepare(self._kernel, self._arguments, blocks, self._threads, handle)
+            blocks = _count_blocks(self._number, self._block)
+            prepared = _prepare(self._kernel, self._arguments, blocks, self._block, handle)
             self._prepared[handle] = prepared or (lambda: usual(*self._arguments))
             return
         prepared()
 
 
-def _count_blocks(number: int, threads: int) -> int:
-    return -(-number // threads)
+def _count_blocks(number: int, block: Block) -> int:
+    return -(-number // block[-1])
 
 
 def _prepare(
-    kernel: Kernel, arguments: tuple[Any, ...], blocks: int, threads: int, handle: int
+    kernel: Kernel, arguments: tuple[Any, ...], blocks: int, block: Block, handle: int
 ) -> Callable[[], None] | None:
     """The launch without a look at the arguments; None if this version of numba-cuda is unknown."""
     try:
@@ -75,5 +79,5 @@ def _prepare(
         stream = Stream.from_handle(handle)
     except (AttributeError, ImportError):
         return None
-    config = LaunchConfig(grid=blocks, block=threads)
+    config = LaunchConfig(grid=blocks, block=block)
     return lambda: launch(stream, config, function, *numbers)

@@ -4,6 +4,7 @@ from typing import Any
 
 from marl_lanes.traffic.machine.compiled import compiled, internal
 from marl_lanes.traffic.machine.state import NONE, Phase
+from marl_lanes.traffic.machine.team import is_team
 from marl_lanes.traffic.road.geometry import is_body_in
 
 _ENGAGED = int(Phase.ENGAGED)
@@ -27,14 +28,18 @@ def insert_by_position(order: Any, rank: int, vehicles: Any) -> None:
 
 
 @internal
-def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
-    """Whether the body overlaps the lane, or the car is engaged or moving over toward it."""
-    if is_body_in(car, lane):
-        return True
+def is_entering(car: Any, lane: int, agents: Any) -> bool:
+    """Whether the car is engaged or moving over toward the lane."""
     if car.agent == NONE:
         return bool(car.moving_over != 0 and car.lane == lane)
     agent = agents[car.agent]
     return bool(agent.phase == _ENGAGED and agent.target_lane == lane)
+
+
+@internal
+def is_in_lane(car: Any, lane: int, agents: Any) -> bool:
+    """Whether the body overlaps the lane, or the car is engaged or moving over toward it."""
+    return bool(is_body_in(car, lane) or is_entering(car, lane, agents))
 
 
 @internal
@@ -96,6 +101,41 @@ def neighbors_in_lanes(
             other_neighbor = slot
         at += stride
     return neighbor, other_neighbor
+
+
+@internal
+def body_ahead(rank: int, lane: int, lanes: Any, order: Any, vehicles: Any) -> int:
+    """Slot of the nearest vehicle ahead of ``rank`` whose body overlaps the lane, or NONE.
+
+    It is the last one that the sweep over the vehicles has seen in the lane. A team does not sweep:
+    each member looks along the order.
+    """
+    if not is_team():
+        return int(lanes[lane].nearest)
+    other = rank - 1
+    while other != NONE:
+        slot = int(order[other])
+        if is_body_in(vehicles[slot], lane):
+            return slot
+        other -= 1
+    return NONE
+
+
+@internal
+def entering_ahead(rank: int, lane: int, lanes: Any, order: Any, vehicles: Any, agents: Any) -> int:
+    """Slot of the nearest vehicle ahead of ``rank`` that is entering the lane, or NONE.
+
+    As ``body_ahead`` finds it.
+    """
+    if not is_team():
+        return int(lanes[lane].nearest_engaged)
+    other = rank - 1
+    while other != NONE:
+        slot = int(order[other])
+        if is_entering(vehicles[slot], lane, agents):
+            return slot
+        other -= 1
+    return NONE
 
 
 @internal

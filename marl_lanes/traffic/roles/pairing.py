@@ -5,6 +5,7 @@ from typing import Any
 from marl_lanes.traffic.command.phases import clear_payment
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.state import NONE, Disposition, Phase
+from marl_lanes.traffic.machine.team import member, team_size
 from marl_lanes.traffic.roles.follower import Step, observe_follower, pay_follower
 
 _EXTERNAL = int(Disposition.EXTERNAL)
@@ -37,7 +38,7 @@ def find_driver(agent: Any, vehicles: Any) -> int:
 def pair(scene: Any, followers: Any, observations: Any, features: Any) -> None:
     """Reward the drivers that acted in this step, then pair the engaged changers again."""
     agents, vehicles, c = scene.agents, scene.vehicles, scene.constants
-    for index in range(agents.shape[0]):
+    for index in range(member(), agents.shape[0], team_size()):
         agent, follower = agents[index], followers[index]
         if agent.vehicle == NONE:
             clear_follower(follower)

@@ -19,7 +19,7 @@ def add(array, number):
         array[index] += number
 
 array = cuda.to_device(np.arange(5))
-launch = Launch(add, 5, (array, np.int64(2)), 4)
+launch = Launch(add, 5, (array, np.int64(2)), (4,))
 for _ in range(3):
     launch(0)
 assert array.copy_to_host().tolist() == [6, 7, 8, 9, 10]
@@ -49,8 +49,8 @@ def test_prepared_it_does_the_same():
 
     array = cuda.to_device(np.zeros(300, np.int64))
     given = array, np.int64(2)
-    launch = Launch(add, 300, given, 128)
+    launch = Launch(add, 300, given, (128,))
     for _ in range(4):
         launch(0)
     assert set(array.copy_to_host().tolist()) == {8}
-    assert _prepare(add, given, 3, 128, 0) is not None
+    assert _prepare(add, given, 3, (128,), 0) is not None
