@@ -1,15 +1,19 @@
-"""A GPU: vehicle-steps/s of Simulator and LaneChangeEnv there, beside the CPU's and the limit.
+"""A GPU: roads, environments and a training there, beside the CPU's and the limit.
 
-python benchmarks/gpu.py [--json FILE] [--no-tests]
+python benchmarks/gpu.py [--json FILE] [--no-training] [--no-tests]
 
-Needs the extra ``gpu``, no network, and about three minutes. After the tables it runs the tests
-that hold the roads on the GPU against those on the CPU. The scenario is ``paper`` as recipe fast
-trains on it. The limit is the memory: the bytes that a step must read and write, each once, over
-the bandwidth of a copy measured here. A step of LaneChangeEnv is timed as it is called, and
-replayed as a CUDA graph, which leaves out Python.
+It is what to run where there is a GPU: in about three minutes, with no network, and with the extras
+``gpu`` and ``train`` installed. It prints the tables, then the targets, and at last runs the tests
+that hold the roads on the GPU against those on the CPU.
+
+The scenario is ``paper`` as recipe fast once trained on it. The limit is the memory: the bytes that
+a step must read and write, each once, over the bandwidth of a copy measured here. A step of
+LaneChangeEnv is timed as it is called, and replayed as a CUDA graph, which leaves out Python. The
+training is that of gpu_training.py, which has options.
 """
 
 import argparse
+import math
 import statistics
 import sys
 import time
@@ -19,6 +23,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from gpu_training import SECONDS_TO_GOOD, Row, print_row
+from gpu_training import measure as measure_training
+from tensordict import TensorDictBase
 from turns import print_target
 
 from marl_lanes import LaneChangeEnv, Simulator
@@ -34,6 +41,10 @@ FAST: dict[str, Any] = {
 }
 """The training's overrides of recipe fast."""
 ENVS = (1024, 8192, 65_536, 262_144)
+DEVICE = "cuda"
+FEW_ENVS = 8192
+TEAM_SIZES = (1, 2, 4, 8, 16, 32)
+"""Threads for a road."""
 TESTS = ("tests/traffic/test_gpu.py", "tests/envs/test_gpu_exchange.py")
 ROOT = Path(__file__).parents[1]
 ROUNDS = 5
@@ -41,29 +52,34 @@ ROUNDS = 5
 cuda: Any = torch.cuda
 COPIED = 2**30
 """[bytes]"""
+ON_CPU = (
+    "device=cpu",
+    "collector.total_transitions=200000",
+    "optimizer.pretraining_transitions=60000",
+    "evaluation.save_interval=200000",
+)
+"""The training's fields for a part of it on the CPU."""
 
 
 def time_on_gpu(call: Callable[[], object], number: int) -> float:
-    """Time of a call in a row of ``number`` [s]: the median of some rows."""
+    """Time of a call in a row of ``number`` [s]."""
     call()
-    times = []
-    for _ in range(ROUNDS):
-        start, end = (cuda.Event(enable_timing=True) for _ in range(2))
-        torch.cuda.synchronize()
-        start.record()
-        for _ in range(number):
-            call()
-        end.record()
-        torch.cuda.synchronize()
-        times.append(float(1e-3 * start.elapsed_time(end) / number))
-    return statistics.median(times)
+    start, end = (cuda.Event(enable_timing=True) for _ in range(2))
+    torch.cuda.synchronize()
+    start.record()
+    for _ in range(number):
+        call()
+    end.record()
+    torch.cuda.synchronize()
+    return float(1e-3 * start.elapsed_time(end) / number)
 
 
 def measure_bandwidth() -> float:
     """Bytes read and written per second by a copy within the GPU's memory."""
-    source = torch.empty(COPIED, dtype=torch.uint8, device="cuda")
+    source = torch.empty(COPIED, dtype=torch.uint8, device=DEVICE)
     target = torch.empty_like(source)
-    return 2 * COPIED / time_on_gpu(lambda: target.copy_(source), 10)
+    times = [time_on_gpu(lambda: target.copy_(source), 10) for _ in range(ROUNDS)]
+    return 2 * COPIED / statistics.median(times)
 
 
 def count_bytes(simulator: Simulator) -> float:
@@ -76,17 +92,23 @@ def count_bytes(simulator: Simulator) -> float:
     return float(2 * (vehicles * per_vehicle + live * per_agent + per_road))
 
 
-def measure_cpu() -> float:
-    """Vehicle-steps per second of all processors, each with a thread."""
+def measure_cpu() -> dict[str, float]:
+    """The same on all processors, each with a thread: vehicle-steps per second."""
     number = count_processors()
-    simulator = Simulator("paper", 1024 * number, num_threads=number, overrides=FAST, seed=0)
-    simulator.reset()
-    times = []
+    env = LaneChangeEnv("paper", 1024 * number, num_threads=number, overrides=FAST, seed=0)
+    data = env.rand_action(env.reset())
+    simulator = env.simulator
+    times: dict[str, list[float]] = {"Simulator": [], "LaneChangeEnv": []}
     for _ in range(ROUNDS):
-        start = time.perf_counter()
-        simulator.step()
-        times.append(time.perf_counter() - start)
-    return float(simulator.roads["num_vehicles"].sum()) / statistics.median(times)
+        for name, call in (
+            ("Simulator", simulator.step),
+            ("LaneChangeEnv", lambda: env.step(data)),
+        ):
+            start = time.perf_counter()
+            call()
+            times[name].append(time.perf_counter() - start)
+    vehicles = float(simulator.roads["num_vehicles"].sum())
+    return {name: vehicles / statistics.median(found) for name, found in times.items()}
 
 
 def capture(call: Callable[[], object]) -> Callable[[], object]:
@@ -102,39 +124,61 @@ def capture(call: Callable[[], object]) -> Callable[[], object]:
     return graph.replay
 
 
-def measure(num_envs: int, bandwidth: float) -> dict[str, float]:
-    """The figures of so many roads on the GPU."""
-    start = time.perf_counter()
-    env = LaneChangeEnv("paper", num_envs, device="cuda", overrides=FAST, seed=0)
+def make_env(num_envs: int) -> tuple[LaneChangeEnv, TensorDictBase]:
+    """So many roads on the GPU, and actions that keep most vehicles on them."""
+    env = LaneChangeEnv("paper", num_envs, device=DEVICE, overrides=FAST, seed=0)
     data = env.reset()
     simulator = env.simulator
     shape = simulator.num_envs, simulator.num_slots, simulator.num_actions
     actions = np.random.default_rng(0).uniform(-0.02, 0.02, shape)
-    data["changers", "action"] = torch.as_tensor(actions, dtype=torch.float32, device="cuda")
+    data["changers", "action"] = torch.as_tensor(actions, dtype=torch.float32, device=DEVICE)
     env.step(data.copy())
+    return env, data
+
+
+def measure(num_envs: int, bandwidth: float) -> dict[str, float]:
+    """The figures of so many roads on the GPU."""
+    start = time.perf_counter()
+    env, data = make_env(num_envs)
     made = time.perf_counter() - start
-    number = max(4, min(100, 2**20 // num_envs))
-    replay = capture(lambda: advance(env))
-    # The actions drive vehicles off the road, so their number falls.
-    before = float(simulator.roads["num_vehicles"].sum())
-    step = time_on_gpu(replay, number)
-    vehicles = 0.5 * (before + float(simulator.roads["num_vehicles"].sum()))
-    needed = num_envs * count_bytes(simulator) / bandwidth
-    times = {
-        "step": step,
-        "called": time_on_gpu(simulator.advance, number),
-        "env": time_on_gpu(lambda: env.step(data.copy()), number),
-        "env_graph": time_on_gpu(capture(lambda: env.step(data.copy())), number),
+    simulator = env.simulator
+    number = max(4, min(50, 2**20 // num_envs))
+    calls: dict[str, Callable[[], object]] = {
+        "step": capture(lambda: advance(env)),
+        "env_graph": capture(lambda: env.step(data.copy())),
+        "env": lambda: env.step(data.copy()),
     }
+    # They take turns, because what is on the roads changes.
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    vehicles = []
+    for _ in range(ROUNDS):
+        vehicles.append(float(simulator.roads["num_vehicles"].sum()))
+        for name, call in calls.items():
+            times[name].append(time_on_gpu(call, number))
+    count = statistics.median(vehicles)
+    needed = num_envs * count_bytes(simulator) / bandwidth
+    found = {name: statistics.median(values) for name, values in times.items()}
     return {
         "num_envs": num_envs,
-        "vehicles_per_road": vehicles / num_envs,
+        "team_size": simulator.gpu_roads.team_size,
+        "vehicles_per_road": count / num_envs,
         "seconds_until_stepped": made,
-        **{f"{name}_ms": 1e3 * value for name, value in times.items()},
-        "vehicle_steps_per_second": vehicles / times["step"],
+        **{f"{name}_ms": 1e3 * value for name, value in found.items()},
+        "vehicle_steps_per_second": count / found["step"],
         "limit_ms": 1e3 * needed,
-        "share_of_limit": needed / times["step"],
+        "share_of_limit": needed / found["step"],
     }
+
+
+def measure_teams(num_envs: int) -> dict[str, float]:
+    """Milliseconds of a step of so many roads, by the threads for each."""
+    env, _ = make_env(num_envs)
+    found = {}
+    for size in TEAM_SIZES:
+        env.simulator.gpu_roads.form_teams(size)
+        call = capture(lambda: advance(env))
+        found[str(size)] = 1e3 * statistics.median(time_on_gpu(call, 8) for _ in range(ROUNDS))
+    return found
 
 
 def advance(env: LaneChangeEnv) -> None:
@@ -154,51 +198,80 @@ def run_tests() -> bool:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the tests, print the tables and the targets, write the JSON."""
+    """Print the tables and the targets, run the tests, write the JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, help="write the figures to this file as well")
+    parser.add_argument("--no-training", action="store_true", help="leave the training out")
     parser.add_argument("--no-tests", action="store_true", help="leave the tests out")
     options = parser.parse_args(arguments)
+    begin = time.perf_counter()
     bandwidth = measure_bandwidth()
     card = torch.cuda.get_device_name(0)
     print(f"{card}; a copy moves {bandwidth / 1e12:.2f} TB/s", flush=True)
     rows = [measure(num_envs, bandwidth) for num_envs in ENVS]
     print_rows(rows)
+    best = max(rows, key=lambda row: row["vehicle_steps_per_second"])
+    sizes = sorted({FEW_ENVS, int(best["num_envs"])})
+    teams = {str(number): measure_teams(number) for number in sizes}
+    print_teams(teams)
     cpu = measure_cpu()
-    print(f"the CPU, {count_processors()} threads: {cpu / 1e9:.3f} 10^9 vehicle-steps/s")
-    print_targets(rows)
+    for name, rate in cpu.items():
+        print(f"{name} on {count_processors()} processors: {rate / 1e9:.3f} 10^9 vehicle-steps/s")
     figures: dict[str, object] = {"card": card, "copy_bytes_per_second": bandwidth, "rows": rows}
-    figures |= {"cpu_threads": count_processors(), "cpu_vehicle_steps_per_second": cpu}
-    if options.json is not None:
-        write_json(options.json, figures)
-    if options.no_tests:
-        return 0
-    are_equal = run_tests()
-    if options.json is not None:
-        write_json(options.json, figures | {"are_tests_passed": are_equal})
+    figures |= {"team_ms": teams, "cpu_threads": count_processors(), "cpu": cpu}
+
+    def keep(**more: object) -> None:
+        figures.update(more, seconds=time.perf_counter() - begin)
+        if options.json is not None:
+            write_json(options.json, figures)
+
+    keep()
+    trained: Row | None = None
+    if not options.no_training:
+        trained = measure_training()
+        print_row(trained)
+        on_cpu = measure_training([*ON_CPU], is_evaluated=False)
+        print_row({f"the CPU: {name}": value for name, value in on_cpu.items()})
+        keep(training=trained, training_on_cpu=on_cpu)
+    print_targets(rows, best, trained)
+    are_equal = True
+    if not options.no_tests:
+        are_equal = run_tests()
+        keep(are_tests_passed=are_equal)
+    print(f"{time.perf_counter() - begin:.0f} s")
     return 0 if are_equal else 1
 
 
-def print_targets(rows: list[dict[str, float]]) -> None:
+def print_targets(
+    rows: list[dict[str, float]], best: dict[str, float], trained: Row | None
+) -> None:
     """The figures that have a target, with it."""
-    best = max(rows, key=lambda row: row["vehicle_steps_per_second"])
-    few = next(row for row in rows if row["num_envs"] == 8192)
-    print_target("10^9 vehicle-steps/s, best batch", best["vehicle_steps_per_second"] / 1e9, 5.0)
-    print_target("10^9 vehicle-steps/s, 8,192 roads", few["vehicle_steps_per_second"] / 1e9, 1.0)
-    for name, row in (("best batch", best), ("8,192 roads", few)):
+    few = next(row for row in rows if row["num_envs"] == FEW_ENVS)
+    for name, row, target in (("best batch", best, 5.0), (f"{FEW_ENVS} roads", few, 1.0)):
+        rate = row["vehicle_steps_per_second"] / 1e9
+        print_target(f"10^9 vehicle-steps/s, {name}", rate, target)
         for kind in ("env", "env_graph"):
             ratio = row[f"{kind}_ms"] / row["step_ms"]
             label = "LaneChangeEnv.step" + " as a graph" * (kind == "env_graph")
             print_target(f"{label} over the kernel, {name}", ratio, 1.5, is_least=False)
+    if trained is not None:
+        update = next(value for name, value in trained.items() if name.startswith("an update"))
+        reached = trained[SECONDS_TO_GOOD]
+        for name, value, target in (
+            ("a training: seconds", trained["training: seconds"], 3.0),
+            (SECONDS_TO_GOOD, math.inf if isinstance(reached, str) else reached, 1.5),
+            ("an update: us", update, 100.0),
+        ):
+            print_target(name, float(value), target, is_least=False)
 
 
 def print_rows(rows: list[dict[str, float]]) -> None:
-    """The table."""
+    """The table of roads."""
     heads = {
         "num_envs": "roads",
+        "team_size": "team",
         "vehicles_per_road": "vehicles",
         "step_ms": "step [ms]",
-        "called_ms": "called",
         "env_ms": "env.step",
         "env_graph_ms": "as graph",
         "limit_ms": "limit",
@@ -208,6 +281,14 @@ def print_rows(rows: list[dict[str, float]]) -> None:
         shown = "".join(f"{row[name]:11,.4g}" for name in heads)
         rate = row["vehicle_steps_per_second"] / 1e9
         print(f"{shown}{rate:24.2f}{row['share_of_limit']:10.2f}", flush=True)
+
+
+def print_teams(teams: dict[str, dict[str, float]]) -> None:
+    """The table of teams."""
+    print("a step [ms] with so many threads for a road:")
+    print("".join(f"{head:>11}" for head in ("roads", *map(str, TEAM_SIZES))))
+    for number, times in teams.items():
+        print(f"{int(number):11,}" + "".join(f"{value:11.4g}" for value in times.values()))
 
 
 if __name__ == "__main__":

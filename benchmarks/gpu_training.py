@@ -57,6 +57,7 @@ DEFAULTS = (
 FIXED = ("evaluation.criterion=null", "evaluation.record=false", "demonstrations.num_transitions=0")
 GOOD_RATIO, GOOD_RATE = 1.10, 0.99
 """Cost ratio, and success rate, of a good model."""
+SECONDS_TO_GOOD = f"seconds to a cost ratio of {GOOD_RATIO} at a success rate of {GOOD_RATE}"
 NUM_UPDATES = 1024
 Row = dict[str, float | str]
 
@@ -119,15 +120,29 @@ def measure_model(
     return math.nan if ratio is None else ratio, found["success_rate"]
 
 
-def measure(options: Sequence[str] = ()) -> Row:
-    """Train, evaluate; the results by what they are."""
+def measure(options: Sequence[str] = (), *, is_evaluated: bool = True) -> Row:
+    """Train, evaluate if that is wanted; the results by what they are."""
     given = {option.partition("=")[0] for option in options}
     defaults = [option for option in DEFAULTS if option.partition("=")[0] not in given]
     with tempfile.TemporaryDirectory() as folder:
         fields = [*defaults, *options, *FIXED, f"output={folder}/run"]
         config = read_config(TrainingConfig, compose_fields(TrainingConfig, FOLDER, fields))
         learner, scenario, saved = train(config)
-    # The untrained one, all until one is good, and the last one.
+    counters = learner.counters
+    row: Row = {
+        "training: transitions": learner.transitions,
+        "training: updates": counters["updates"],
+        "training: seconds": counters["seconds_training"],
+        **{f"training: us a transition: {key}": us for key, (us, _) in learner.split.items()},
+        f"an update of {config.replay.batch_size}: us": 1e6 * counters["seconds_update"],
+    }
+    return row | evaluate_models(saved, scenario, config) if is_evaluated else row
+
+
+def evaluate_models(
+    saved: Sequence[tuple[PolicyNetwork, float]], scenario: Scenario, config: TrainingConfig
+) -> Row:
+    """The untrained model, all until one is good, and the last one."""
     good: float | None = None
     results = []
     for network, seconds in saved:
@@ -136,22 +151,19 @@ def measure(options: Sequence[str] = ()) -> Row:
             results.append((ratio, rate))
             if good is None and ratio <= GOOD_RATIO and rate >= GOOD_RATE:
                 good = seconds
-    counters = learner.counters
-    row: Row = {
-        "training: transitions": learner.transitions,
-        "training: updates": counters["updates"],
-        "training: seconds": counters["seconds_training"],
-        **{f"training: us a transition: {key}": us for key, (us, _) in learner.split.items()},
-        f"seconds to a cost ratio of {GOOD_RATIO} at a success rate of {GOOD_RATE}": (
-            "not reached" if good is None else good
-        ),
+    return {
+        SECONDS_TO_GOOD: "not reached" if good is None else good,
         "untrained: cost ratio": results[0][0],
         "untrained: success rate": results[0][1],
         "final model: cost ratio": results[-1][0],
         "final model: success rate": results[-1][1],
-        f"an update of {config.replay.batch_size}: us": 1e6 * counters["seconds_update"],
     }
-    return row
+
+
+def print_row(row: Row) -> None:
+    """A line for each result."""
+    for name, value in row.items():
+        print(f"{name:60} {value if isinstance(value, str) else f'{value:,.4g}'}", file=sys.stdout)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -164,8 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_intermixed_args(arguments)
     with refusing():
         row = measure(options.overrides)
-    for name, value in row.items():
-        print(f"{name:60} {value if isinstance(value, str) else f'{value:,.4g}'}", file=sys.stdout)
+    print_row(row)
     if options.json is not None:
         write_json(options.json, row)
 

@@ -1,10 +1,12 @@
 """Benchmarks that train, render or verify run to their end; speeds need an idle machine."""
 
+import importlib
 import json
 import runpy
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -67,6 +69,45 @@ def test_a_training_on_one_device(tmp_path, capsys):
     assert seconds == 0.0
     printed = capsys.readouterr().out
     assert all(name in printed for name in figures)
+
+
+@pytest.mark.slow
+def test_the_tables_of_a_gpu(tmp_path, capsys, monkeypatch):
+    """With the CPU in its place: what it prints and writes."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    gpu = importlib.import_module("gpu")
+    sizes = []
+    roads = SimpleNamespace(team_size=8, form_teams=sizes.append)
+    monkeypatch.setattr(Simulator, "gpu_roads", roads)
+    monkeypatch.setattr(gpu.torch.cuda, "get_device_name", lambda _: "a card")
+    took = iter(range(1, 10**6))
+    for name, stand_in in {
+        "DEVICE": "cpu",
+        "ENVS": (4, 6),
+        "FEW_ENVS": 4,
+        "capture": lambda call: call,
+        "advance": lambda env: env.simulator.advance(),
+        "measure_bandwidth": lambda: 1e12,
+        "time_on_gpu": lambda call, _: (call(), 1e-3 * next(took))[1],
+    }.items():
+        monkeypatch.setattr(gpu, name, stand_in)
+    file = tmp_path / "figures.json"
+    assert gpu.main(["--json", str(file), "--no-tests", "--no-training"]) == 0
+    figures = json.loads(file.read_text(encoding="utf-8"))
+    few, more = figures["rows"]
+    assert few["num_envs"] == 4
+    # They took turns: 1 4 7 10 13 ms, 2 5 8 11 14 ms, 3 6 9 12 15 ms.
+    found = [few[f"{name}_ms"] for name in ("step", "env_graph", "env")]
+    assert found == pytest.approx([7.0, 8.0, 9.0])
+    assert few["vehicle_steps_per_second"] == pytest.approx(4 * few["vehicles_per_road"] / 7e-3)
+    assert 0.0 < few["share_of_limit"] < 1.0
+    assert more["step_ms"] == pytest.approx(22.0)
+    assert set(figures["team_ms"]["4"]) == {"1", "2", "4", "8", "16", "32"}
+    assert sizes == [1, 2, 4, 8, 16, 32] * len(figures["team_ms"])
+    assert set(figures["cpu"]) == {"Simulator", "LaneChangeEnv"}
+    printed = capsys.readouterr().out
+    assert printed.startswith("a card; a copy moves 1.00 TB/s")
+    assert "10^9 vehicle-steps/s, best batch" in printed
 
 
 @pytest.mark.slow
