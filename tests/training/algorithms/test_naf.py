@@ -7,6 +7,7 @@ import torch
 from collecting import BUSY
 from learners import Evaluation, changers, filled, tiny, weights_of
 from tensordict import TensorDict
+from torch._dynamo.utils import counters
 
 from marl_lanes import LaneChangeEnv, load_scenario
 from marl_lanes.naf import NAFLoss
@@ -205,6 +206,8 @@ def test_all_its_tensors_are_on_its_device(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
+# Inside torch, when it compiles a function with a derivative of its own.
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")
 @pytest.mark.long
 @pytest.mark.parametrize("is_batched", [False, True])
 def test_a_compiled_loss_gives_the_same_losses(tmp_path, is_batched):
@@ -216,3 +219,29 @@ def test_a_compiled_loss_gives_the_same_losses(tmp_path, is_batched):
         learner.close()
     # Adam divides by the gradient's size: the rounding of a tiny one is a whole step.
     assert results[0] == pytest.approx(results[1], rel=1e-3)
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")
+@pytest.mark.long
+def test_a_loss_is_compiled_whole_and_before_its_capture(tmp_path, monkeypatch):
+    """Once in each stage: a capture would fail if torch compiled within it."""
+    torch.compiler.reset()
+    counters.clear()
+    numbers = []
+
+    def capture(function):
+        numbers.append(counters["stats"]["unique_graphs"])
+        return function
+
+    monkeypatch.setattr(graphs, "capture", capture)
+    options = ("optimizer.compile=true", "loss.target_interval=3")
+    learner = filled(tmp_path, *options, is_batched=True)
+    learner.algorithm.is_graphed = True
+    for transitions in (0, 200):
+        learner.algorithm.anneal(transitions)
+        learner.update(20)
+    learner.close()
+    assert numbers == [1, 1, 2, 2]
+    assert counters["stats"]["unique_graphs"] == 2
+    assert not counters["graph_break"]
