@@ -1,11 +1,12 @@
 """NAF's updates: step sizes, the two stages, the compiled loss."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
 import torch
 from collecting import BUSY
-from learners import Evaluation, changers, filled, tiny, weights_of
+from learners import Evaluation, changers, check_resuming, filled, tiny, weights_of
 from tensordict import TensorDict
 from torch._dynamo.utils import counters
 
@@ -178,6 +179,10 @@ def test_a_batched_training_goes_on_as_a_plain_one_and_back(tmp_path):
             assert learner.transitions >= 150 * (number - 1)
         assert learner.train(Evaluation())
         learner.close()
+
+
+def test_a_batched_training_goes_on_as_if_it_had_not_stopped(tmp_path):
+    check_resuming(tmp_path, partial(changers, is_batched=True))
 
 
 def test_networks_are_evaluated_together_on_a_gpu_alone():
