@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn.functional import pad
 
 from marl_lanes.naf.joined import joined_runs, whole_of
@@ -101,10 +102,10 @@ class BatchedNetworks:
         device = self.parameters[0].device
         added = [1.0] + [0.0] * (self.num_added - 1)
         self.added = torch.tensor(added, device=device)
-        constants = torch.tensor([0.0, _SATURATED], device=device)
         self.sources, starts = _find_sources([one for part in self.parts for one in part.in_order])
+        # What is no parameter: a zero, and what becomes a one.
         zero = sum(source.numel() for source in self.sources)
-        self.sources.append(constants)
+        self.sources.append(torch.tensor([0.0, _SATURATED], device=device))
         self.places = torch.cat(
             [self._places(layer, starts, zero).flatten() for layer in range(number)]
         ).to(device)
@@ -210,6 +211,7 @@ class _Evaluation(torch.autograd.Function):
         return found
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         batch, saved = ctx.batch, ctx.saved_tensors
         learning = batch.num_learning

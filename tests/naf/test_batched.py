@@ -44,7 +44,6 @@ def test_values_and_gradients_are_those_of_each_alone(hidden, num_chunks):
     leaves = [rows, *parameters_of(learning)]
     gradients = []
     for outputs in (found, wanted):
-        # The last network's output enters not at all, as that of a part that is not used.
         total = (outputs[0] * torch.arange(1.0, 4.0)).square().sum() + outputs[1].sin().sum()
         gradients.append(torch.autograd.grad(total, leaves))
     for one, other in zip(*gradients, strict=True):
@@ -60,6 +59,15 @@ def test_what_gets_no_gradient_has_zeros():
     count = len([*learning[0].heads.parameters()])
     assert all(one.abs().sum() > 0.0 for one in gradients[:count])
     assert not any(one.any() for one in gradients[count:])
+
+
+def test_its_second_derivatives_are_refused():
+    batch = BatchedNetworks([make(LEARNING[0])], following=[others(make([[0.0]]))])
+    rows = torch.randn(3, 5, requires_grad=True)
+    found = batch(rows, torch.randn(3, 5))[0].square().sum()
+    (gradient,) = torch.autograd.grad(found, rows, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        gradient.sum().backward()
 
 
 def test_it_sees_what_becomes_of_the_parameters():
