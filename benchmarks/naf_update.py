@@ -1,11 +1,13 @@
 """One NAF update compared with the same arithmetic in bare PyTorch, in the same run.
 
-python benchmarks/naf_update.py [--rounds N] [--eager] [--json FILE]
+python benchmarks/naf_update.py [--rounds N] [--eager] [--kernels] [--json FILE]
 
 An update is what ``Learner.update`` does: draw a batch, loss, backward, fused Adam, soft target.
 The bare one has plain tensors for the replay buffer and functions for the networks, and no library
 except torch. Before the timing both make the same updates from the same start, and must end with
 the same parameters. Then they take turns (A B A B ...); the table shows medians of CPU time.
+A second table counts the kernels that an update would launch on a GPU: with the networks one by one
+as on the CPU ("plain"), and together as on a GPU ("batched"); with --kernels it is all there is.
 """
 
 import argparse
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from kernels import count_compiled_kernels, count_kernels, print_kernels
 from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.functional import mse_loss, softplus
@@ -35,6 +38,8 @@ TARGETS = {64: 1.3, 1024: 1.1}
 """Target: largest ratio of the time of an update to that of the bare one, both eager."""
 CAPACITY = 65_536
 GAMMA, TAU, RATE = 0.99, 0.02, 5e-4
+COUNTED_BATCH = 1024
+"""Rows of the updates whose kernels are counted."""
 UPDATES_PER_TURN = {64: 128, 1024: 32}
 CHECKED_UPDATES = 20
 TOLERANCE = 2e-5
@@ -151,7 +156,12 @@ def make_transitions(network: NAFNetwork) -> dict[str, Tensor]:
 
 
 def make_learner(
-    network: NAFNetwork, replay: Mapping[str, Tensor], batch_size: int, *, is_compiled: bool
+    network: NAFNetwork,
+    replay: Mapping[str, Tensor],
+    batch_size: int,
+    *,
+    is_compiled: bool,
+    is_batched: bool = False,
 ) -> Learner:
     """A learner with the transitions in its replay buffer; it does not collect any."""
     config = validate(
@@ -165,10 +175,17 @@ def make_learner(
                 "rare_share": 0.0,
                 "warmup_transitions": 0,
             },
-            "loss": {"gamma": GAMMA, "target_update": "soft", "tau": TAU, "target_interval": 1},
+            "loss": {
+                "gamma": GAMMA,
+                "target_update": "soft",
+                "num_steps": 1,
+                "tau": TAU,
+                "target_interval": 1,
+            },
             "optimizer": {
                 "learning_rate": RATE,
                 "mu_learning_rate": RATE,
+                "longitudinal_learning_rate": None,
                 "final_rate": 1.0,
                 "max_gradient_norm": None,
                 "transitions_per_update": 1.0,
@@ -179,6 +196,7 @@ def make_learner(
                 "initial_sigma": 0.1,
                 "final_sigma": 0.1,
                 "annealing_transitions": 1,
+                "probability": 1.0,
                 "longitudinal_factor": 1.0,
             },
             "evaluation": {
@@ -192,7 +210,7 @@ def make_learner(
         },
     )
     env = LaneChangeEnv("paper", seed=0)
-    learner = Learner(config, env, NAF(config, env, network))
+    learner = Learner(config, env, NAF(config, env, network, is_batched=is_batched))
     # A training makes it when it begins, in its run folder; one in memory needs none.
     learner.experience = Replay(config.replay, Path("unused"), 0, transitions_per_update=1.0)
     is_end = replay["terminated"]
@@ -264,18 +282,46 @@ def measure(batch_size: int, rounds: int, *, has_compiled: bool) -> dict[str, An
     }
 
 
+def count(*, has_compiled: bool) -> dict[str, dict[str, float]]:
+    """Kernels of an update on a GPU by group, for every kind of update."""
+    torch.manual_seed(0)
+    network = make_network(load_scenario("paper"), "paper")
+    replay = make_transitions(network)
+    found: dict[str, dict[str, float]] = {}
+    for name, is_batched in (("plain", False), ("batched", True)):
+        options = {"is_batched": is_batched}
+        learner = make_learner(network, replay, COUNTED_BATCH, is_compiled=False, **options)
+        found[name] = count_kernels(learner)
+        if has_compiled:
+            learner = make_learner(network, replay, COUNTED_BATCH, is_compiled=True, **options)
+            found[f"{name} compiled"] = {**found[name], **count_compiled_kernels(learner)}
+    return found
+
+
 def main() -> None:
-    """Check, run the rounds, print the table, write the JSON."""
+    """Check, run the rounds, print the tables, write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=21, help="turns of each (default: 21)")
     parser.add_argument("--eager", action="store_true", help="leave torch.compile out")
+    parser.add_argument("--kernels", action="store_true", help="count kernels, and measure nothing")
     parser.add_argument("--json", type=Path, help="write the figures to this file as well")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    results = [
-        measure(batch_size, options.rounds, has_compiled=not options.eager)
-        for batch_size in TARGETS
-    ]
+    kernels = count(has_compiled=not options.eager)
+    print_kernels(kernels)
+    results = []
+    if not options.kernels:
+        results = [
+            measure(batch_size, options.rounds, has_compiled=not options.eager)
+            for batch_size in TARGETS
+        ]
+        print_times(results)
+    if options.json is not None:
+        write_json(options.json, {"kernels": kernels, "times": results})
+
+
+def print_times(results: Sequence[Mapping[str, Any]]) -> None:
+    """The table of the times, and how far the contestants are apart."""
     print(f"{'batch':>6} {'update':20} {'microseconds':>12} {'/ bare eager':>13} {'target':>8}")
     for result in results:
         for name, duration in result["microseconds"].items():
@@ -289,8 +335,6 @@ def main() -> None:
                 f"batch {result['batch_size']}, {mode}: after {CHECKED_UPDATES} updates the "
                 f"parameters of both differ by at most {difference:.1e}"
             )
-    if options.json is not None:
-        write_json(options.json, results)
 
 
 if __name__ == "__main__":

@@ -71,6 +71,36 @@ def test_a_training_on_one_device(tmp_path, capsys):
     assert all(name in printed for name in figures)
 
 
+def count_kernels(file, *options):
+    program = [sys.executable, str(BENCHMARKS / "naf_update.py"), "--kernels", "--json", str(file)]
+    done = subprocess.run([*program, *options], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    kernels = json.loads(file.read_text(encoding="utf-8"))["kernels"]
+    assert all(name in done.stdout for name in kernels)
+    return kernels
+
+
+@pytest.mark.training
+def test_the_kernels_of_an_update(tmp_path):
+    """An update on a GPU takes as long as its kernels are many."""
+    kernels = count_kernels(tmp_path / "figures.json", "--eager")
+    plain, batched = kernels["plain"], kernels["batched"]
+    assert batched["drawing"] == plain["drawing"] <= 3.5
+    assert batched["forward"] <= 44 < plain["forward"]
+    assert batched["backward"] <= 45 < plain["backward"]
+    assert batched["optimiser"] <= 2
+    assert batched["target"] == 1
+
+
+@pytest.mark.long
+def test_the_kernels_of_a_compiled_update(tmp_path):
+    kernels = count_kernels(tmp_path / "figures.json")
+    batched = kernels["batched compiled"]
+    assert batched["forward"] <= 15
+    assert batched["backward"] <= 13
+    assert sum(batched.values()) <= 34
+
+
 @pytest.mark.slow
 def test_the_tables_of_a_gpu(tmp_path, capsys, monkeypatch):
     """With the CPU in its place: what it prints and writes."""

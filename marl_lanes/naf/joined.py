@@ -53,6 +53,18 @@ def whole_of(run: Sequence[Tensor]) -> Tensor:
     return first.as_strided((sum(tensor.numel() for tensor in run),), (1,))
 
 
+def take_side_by_side(tensors: Sequence[Tensor], place: Tensor) -> Tensor:
+    """The tensors' numbers in one, (n,): themselves if they fill one, otherwise copied to a place.
+
+    Args:
+        tensors: any.
+        place: (n,).
+    """
+    if joined_runs(tensors) == [[*range(len(tensors))]]:
+        return whole_of(tensors)
+    return torch.cat([tensor.flatten() for tensor in tensors], out=place)
+
+
 def _split(whole: Tensor, like: Sequence[Tensor]) -> list[Tensor]:
     parts = whole.split([tensor.numel() for tensor in like])
     return [part.view(tensor.shape) for part, tensor in zip(parts, like, strict=True)]

@@ -67,6 +67,10 @@ class Heads(nn.Module):
         in_features: length of the input.
         hidden_sizes: widths of the hidden layers of each network.
         initial: initial outputs, for each network the same number of them.
+
+    Attributes:
+        given: an input, and the outputs that are returned for that very tensor: where networks are
+            evaluated together (`BatchedNAFLoss`). None: no such input.
     """
 
     # Small, not zero: with zero weights the hidden layers would get no gradient at first.
@@ -79,6 +83,7 @@ class Heads(nn.Module):
         self.initial = [list(values) for values in initial]
         widths = [in_features, *hidden_sizes, len(self.initial[0])]
         self.num_layers = len(widths) - 1
+        self.given: tuple[Tensor, Tensor] | None = None
         self.names = [(f"weight_{layer}", f"bias_{layer}") for layer in range(self.num_layers)]
         self.flat_names = list(itertools.chain.from_iterable(self.names))
         for names, (fan_in, fan_out) in zip(self.names, itertools.pairwise(widths), strict=True):
@@ -117,6 +122,8 @@ class Heads(nn.Module):
             observation: (..., in_features).
             params: weights and biases to use instead of its own, by their names here.
         """
+        if self.given is not None and params is None and observation is self.given[0]:
+            return self.given[1]
         # A plain dict: look-ups in a tensordict take a good part of what the layers take.
         values = tensors_by_name(self, self.flat_names) if params is None else dict(params.items())
         rows = observation
@@ -130,9 +137,13 @@ class Heads(nn.Module):
                 hidden = torch.tanh(hidden)
             hidden = product(values[bias], hidden, values[weight])
         if not is_single:
-            # For networks of one output a view, for others a copy.
-            is_one = hidden.shape[-1] == 1
-            hidden = hidden.squeeze(-1).mT if is_one else hidden.transpose(0, 1).flatten(1)
+            hidden = columns_of(hidden)
         if observation.ndim == 2:
             return hidden
         return hidden.reshape(*observation.shape[:-1], hidden.shape[-1])
+
+
+def columns_of(outputs: Tensor) -> Tensor:
+    """(networks, rows, outputs) to (rows, networks * outputs), network by network."""
+    # For networks of one output a view, for others a copy.
+    return outputs.squeeze(-1).mT if outputs.shape[-1] == 1 else outputs.transpose(0, 1).flatten(1)

@@ -208,9 +208,10 @@ class NAFLoss(LossModule):
         network = self.value_network
         observation = tensordict.get(network.observation_key).detach()
         action = tensordict.get(network.action_key).detach()
+        following = tensordict.get(("next", network.observation_key)).detach()
         with self._parameters_in_place():
-            prediction = network.action_value(observation, action)
-            target = self._target(tensordict)
+            prediction, next_value = self._evaluate(observation, action, following)
+            target = self._target(tensordict, next_value)
 
         loss = distance_loss(prediction, target, self.loss_function).squeeze(-1)
         if self.loss_function == "l2" and self.reduction != "none":
@@ -249,14 +250,21 @@ class NAFLoss(LossModule):
         )
         return context
 
-    @torch.no_grad()
-    def _target(self, tensordict: TensorDictBase) -> Tensor:
+    def _evaluate(
+        self, observation: Tensor, action: Tensor, following: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Q(s, a), and the target's maximum of Q in the following state, (..., 1) each."""
+        network = self.value_network
+        prediction = network.action_value(observation, action)
         # The network's own maximum, not the estimator's call of the whole network: it skips mu
         # and M where V is all it takes.
-        network = self.value_network
+        with torch.no_grad():
+            next_value = network.max_value(following, self.target_value_network_params)
+        return prediction, next_value
+
+    @torch.no_grad()
+    def _target(self, tensordict: TensorDictBase, next_value: Tensor) -> Tensor:
         following = tensordict.get("next")
-        observation = following.get(network.observation_key)
-        next_value = network.max_value(observation, self.target_value_network_params)
         estimator = self.value_estimator
         target: Tensor
         if type(estimator) is TD0Estimator and not estimator.average_rewards:

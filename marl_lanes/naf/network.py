@@ -198,11 +198,7 @@ class NAFNetwork(TensorDictModuleBase):
         Returns:
             state-action values, (..., 1).
         """
-        normalised = self._encode(observation)
-        mu, slope = self._mu(observation, normalised)
-        penalty = self._penalty(self._factor(normalised), mu, slope, action)
-        value: Tensor = self.value(normalised)
-        return value - penalty
+        return self._action_value(observation, self._encode(observation), action)
 
     def max_value(self, observation: Tensor, params: TensorDictBase | None = None) -> Tensor:
         """max_a Q(s, a) over the box as `forward` writes it; evaluates only what is needed for it.
@@ -262,6 +258,12 @@ class NAFNetwork(TensorDictModuleBase):
         with context:
             encoded: Tensor = self.encoder(normalised)
         return encoded
+
+    def _action_value(self, observation: Tensor, normalised: Tensor, action: Tensor) -> Tensor:
+        mu, slope = self._mu(observation, normalised)
+        penalty = self._penalty(self._factor(normalised), mu, slope, action)
+        value: Tensor = self.value(normalised)
+        return value - penalty
 
     def _mu(self, observation: Tensor, normalised: Tensor) -> tuple[Tensor, Tensor]:
         """Mu and the slope of the actions' cost at mu, without a gradient if mu is frozen."""

@@ -6,7 +6,13 @@ import torch
 from naf.helpers import make_data, make_network
 
 from marl_lanes.naf import NAFLoss
-from marl_lanes.naf.joined import join, join_parameters, joined_runs, whole_of
+from marl_lanes.naf.joined import (
+    join,
+    join_parameters,
+    joined_runs,
+    take_side_by_side,
+    whole_of,
+)
 
 
 def test_the_parts_stay_what_they_are_and_are_the_whole():
@@ -33,6 +39,18 @@ def test_runs_are_neighbors_in_one_storage():
     memory = torch.zeros(12)
     square = memory[4:8].reshape(2, 2).mT
     assert len(joined_runs([memory[:4], square, memory[8:]])) == 3
+
+
+def test_tensors_side_by_side_are_not_copied():
+    first, second = torch.arange(6.0).split([2, 4])
+    second, place = second.view(2, 2), torch.zeros(6)
+    assert take_side_by_side([first, second], place).data_ptr() == first.data_ptr()
+    assert not place.any()
+    # In another order, or apart, they are.
+    assert take_side_by_side([second, first], place) is place
+    assert place.tolist() == [2.0, 3.0, 4.0, 5.0, 0.0, 1.0]
+    assert take_side_by_side([first, second.clone()], place) is place
+    assert place.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
 
 
 def test_an_optimiser_of_the_whole_does_what_one_of_the_parts_does():

@@ -79,6 +79,26 @@ def test_a_graph_of_an_update_is_the_update(tmp_path, monkeypatch):
     assert all(torch.equal(other_weights[key], value) for key, value in weights.items())
 
 
+@pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")
+@pytest.mark.parametrize("compiled", ["false", pytest.param("true", marks=pytest.mark.long)])
+def test_networks_together_learn_what_they_learn_one_by_one(tmp_path, compiled):
+    """To rounding, in both stages, as graphs; compiled, too."""
+    found = []
+    for is_batched in (False, True):
+        options = [f"optimizer.compile={compiled}"] if is_batched else []
+        places = {"device": GPU, "acting_device": GPU, "is_batched": is_batched}
+        learner = filled(tmp_path / str(is_batched), *options, **places)
+        torch.manual_seed(9)
+        losses = []
+        for transitions in (0, 150):
+            learner.algorithm.anneal(transitions)
+            losses += learner.update(10)["loss"].tolist()
+        learner.close()
+        found.append(losses)
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+
+
 def test_a_training_on_the_gpu_goes_on_as_if_it_had_not_stopped(tmp_path):
     metrics = check_resuming(tmp_path, partial(all_there, "collector.total_transitions=1500"))
     # After the capture of a batch of steps.

@@ -8,11 +8,12 @@ import torch
 from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torch.nn.utils import clip_grad_norm_
+from torch.nn.utils import clip_grad_norm_, clip_grads_with_norm_
 from torchrl.objectives import HardUpdate
 
 from marl_lanes.envs.batched import LaneChangeEnv
-from marl_lanes.naf.joined import join_parameters
+from marl_lanes.naf.batched_loss import BatchedNAFLoss
+from marl_lanes.naf.joined import join_parameters, joined_runs, take_side_by_side, whole_of
 from marl_lanes.naf.loss import NAFLoss
 from marl_lanes.naf.mu import ComposedMu
 from marl_lanes.naf.network import NAFNetwork
@@ -125,6 +126,8 @@ class NAF(OffPolicy):
         group: name of the group of agents.
         device: where the network learns.
         acting_device: where it acts; in workers on the CPU.
+        is_batched: whether networks are evaluated together, in few large kernels. By default on a
+            GPU alone: the sums of the CPU have another order, and a seed its published weights.
     """
 
     config: NAFConfig
@@ -139,6 +142,7 @@ class NAF(OffPolicy):
         group: str = CHANGER.group,
         device: torch.device = CPU,
         acting_device: torch.device = CPU,
+        is_batched: bool | None = None,
     ) -> None:
         self.config = config
         self.pretraining_transitions = config.optimizer.pretraining_transitions
@@ -149,21 +153,25 @@ class NAF(OffPolicy):
         # One tensor for parameters that learn together: the optimizer's cost is mostly per tensor.
         self.joined = [join_parameters(parameters) for parameters, _ in self.parts]
         self.gradients = [block.grad for block in self.joined if block.grad is not None]
+        self.one = torch.ones((), device=device)
         rates: dict[float, list[nn.Parameter]] = {}
         for block, (_, rate) in zip(self.joined, self.parts, strict=True):
             rates.setdefault(rate, []).append(block)
         self.rates = tuple(rates)
-        self.loss = NAFLoss(network)
+        self.is_graphed = device.type == "cuda"
+        self.is_batched = self.is_graphed if is_batched is None else is_batched
+        self.loss = BatchedNAFLoss(network) if self.is_batched else NAFLoss(network)
         self.loss.make_value_estimator(gamma=config.loss.gamma)
         if config.loss.target_update == "soft":
             self.target_updater = ForeachSoftUpdate(self.loss, tau=config.loss.tau)
         else:
             # An interval of 0 calls between two copies: ``step`` is called only when one is due.
             self.target_updater = HardUpdate(self.loss, value_network_update_interval=0)
+        if isinstance(self.loss, BatchedNAFLoss):
+            self.loss.batch_networks(config.replay.batch_size)
         self.optimizer = torch.optim.Adam(
             [{"params": blocks, "lr": rate} for rate, blocks in rates.items()], fused=True
         )
-        self.is_graphed = device.type == "cuda"
         self.graphs: dict[tuple[bool, bool], Graphed] = {}
         # What a graph reads stays where it is.
         self.step_sizes = [torch.zeros((), device=device) for _ in rates]
@@ -228,12 +236,7 @@ class NAF(OffPolicy):
     def _update(self, batch: TensorDictBase, *, is_target_due: bool) -> TensorDict:
         loss: Tensor = self.compute_loss(batch)["loss"]
         self._differentiate(loss)
-        if self.config.optimizer.max_gradient_norm is not None:
-            clip_grad_norm_(self.joined, self.config.optimizer.max_gradient_norm, foreach=True)
-        # Said outside a capture, Adam would warn.
-        for group in self.optimizer.param_groups:
-            group["capturable"] = is_capturing()
-        self.optimizer.step()
+        self._step()
         if is_target_due:
             self.target_updater.step()
         return TensorDict({"loss": loss.detach()}, [])
@@ -241,11 +244,34 @@ class NAF(OffPolicy):
     def _differentiate(self, loss: Tensor) -> None:
         """Set the gradients of what learns, block by block: ``backward`` adds to each weight's."""
         learning = [
-            (block.grad, parameters)
-            for block, (parameters, _) in zip(self.joined, self.parts, strict=True)
+            (block, place, parameters)
+            for block, place, (parameters, _) in zip(
+                self.joined, self.gradients, self.parts, strict=True
+            )
             if block.grad is not None
         ]
-        weights = [weight for _, parameters in learning for weight in parameters]
-        found = iter(torch.autograd.grad(loss, weights, materialize_grads=True))
-        for place, parameters in learning:
-            torch.cat([next(found).flatten() for _ in parameters], out=place)
+        weights = [weight for *_, parameters in learning for weight in parameters]
+        found = iter(torch.autograd.grad(loss, weights, self.one, materialize_grads=True))
+        for block, place, parameters in learning:
+            gradients = [next(found) for _ in parameters]
+            if self.is_batched:
+                block.grad = take_side_by_side(gradients, place)
+            else:
+                torch.cat([gradient.flatten() for gradient in gradients], out=place)
+
+    def _step(self) -> None:
+        """Adam's step, by gradients that are no longer than allowed."""
+        if self.config.optimizer.max_gradient_norm is not None:
+            self._clip(self.config.optimizer.max_gradient_norm)
+        # Said outside a capture, Adam would warn.
+        for group in self.optimizer.param_groups:
+            group["capturable"] = is_capturing()
+        self.optimizer.step()
+
+    def _clip(self, limit: float) -> None:
+        gradients = [block.grad for block in self.joined if block.grad is not None]
+        if self.is_batched and len(joined_runs(gradients)) == 1:
+            norm = torch.linalg.vector_norm(whole_of(gradients))
+            clip_grads_with_norm_(self.joined, limit, norm, foreach=True)
+        else:
+            clip_grad_norm_(self.joined, limit, foreach=True)

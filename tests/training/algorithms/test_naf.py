@@ -1,14 +1,18 @@
 """NAF's updates: step sizes, the two stages, the compiled loss."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
 import torch
 from collecting import BUSY
-from learners import filled, tiny, weights_of
+from learners import Evaluation, changers, check_resuming, filled, tiny, weights_of
 from tensordict import TensorDict
+from torch._dynamo.utils import counters
 
 from marl_lanes import LaneChangeEnv, load_scenario
+from marl_lanes.naf import NAFLoss
+from marl_lanes.naf.batched_loss import BatchedNAFLoss
 from marl_lanes.training import graphs
 from marl_lanes.training.algorithms import naf
 from marl_lanes.training.algorithms.naf import NAF
@@ -103,13 +107,14 @@ def test_step_sizes_fall_through_stage_two(tmp_path):
     learner.close()
 
 
-def test_graphed_updates_are_the_same_updates(tmp_path, monkeypatch):
+@pytest.mark.parametrize("is_batched", [False, True])
+def test_graphed_updates_are_the_same_updates(tmp_path, monkeypatch, is_batched):
     """In both stages; a replay calls the function here."""
     monkeypatch.setattr(graphs, "capture", lambda function: function)
     options = ("optimizer.final_rate=0.1", "loss.target_interval=3")
     found = []
     for is_graphed in (False, True):
-        learner = filled(tmp_path / str(is_graphed), *options)
+        learner = filled(tmp_path / str(is_graphed), *options, is_batched=is_batched)
         algorithm = learner.algorithm
         algorithm.is_graphed = is_graphed
         # As precise as the numbers that they are otherwise.
@@ -126,6 +131,65 @@ def test_graphed_updates_are_the_same_updates(tmp_path, monkeypatch):
     assert losses == others
     assert len(set(losses)) == 24
     assert all(torch.equal(other_weights[key], value) for key, value in weights.items())
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["loss.target_interval=3"],
+        ["loss.target_update=hard", "loss.num_steps=2", "optimizer.max_gradient_norm=null"],
+    ],
+)
+@pytest.mark.parametrize("mu", ["damped", "cascade-gated"])
+def test_batched_updates_are_the_same_updates_to_rounding(tmp_path, mu, options):
+    """In both stages."""
+    found = []
+    for is_batched in (False, True):
+        learner = filled(tmp_path / str(is_batched), *options, mu=mu, is_batched=is_batched)
+        torch.manual_seed(9)
+        losses = []
+        for transitions in (0, 200):
+            learner.algorithm.anneal(transitions)
+            losses += learner.update(8)["loss"].tolist()
+        learner.close()
+        found.append((losses, weights_of(learner), learner.algorithm))
+    (losses, weights, plain), (others, other_weights, batched) = found
+    assert others == pytest.approx(losses, rel=1e-4)
+    assert len(set(others)) == 16
+    # What a training state has of them, which any device can go on from.
+    assert other_weights.keys() == weights.keys()
+    for key, value in weights.items():
+        torch.testing.assert_close(other_weights[key], value, rtol=1e-3, atol=1e-4)
+    states = [one.optimizer.state_dict() for one in (plain, batched)]
+    assert states[0]["param_groups"] == states[1]["param_groups"]
+    for index, state in states[0]["state"].items():
+        for name, value in state.items():
+            assert states[1]["state"][index][name].shape == value.shape
+        assert states[1]["state"][index]["step"] == state["step"]
+
+
+def test_a_batched_training_goes_on_as_a_plain_one_and_back(tmp_path):
+    for number, is_batched in enumerate([False, True, False], 1):
+        options = ["replay.capacity=150", f"collector.total_transitions={150 * number}"]
+        learner = changers(*options, is_batched=is_batched)
+        if number == 1:
+            learner.begin(tmp_path)
+        else:
+            learner.resume(tmp_path)
+            assert learner.transitions >= 150 * (number - 1)
+        assert learner.train(Evaluation())
+        learner.close()
+
+
+def test_a_batched_training_goes_on_as_if_it_had_not_stopped(tmp_path):
+    check_resuming(tmp_path, partial(changers, is_batched=True))
+
+
+def test_networks_are_evaluated_together_on_a_gpu_alone():
+    env = LaneChangeEnv("paper", 1, overrides=BUSY, seed=0)
+    network = make_network(env.scenario, "cascade", [8])
+    assert type(NAF(tiny(), env, network).loss) is NAFLoss
+    assert type(NAF(tiny(), env, network, is_batched=True).loss) is BatchedNAFLoss
 
 
 def test_all_its_tensors_are_on_its_device(monkeypatch):
@@ -147,13 +211,42 @@ def test_all_its_tensors_are_on_its_device(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
+# Inside torch, when it compiles a function with a derivative of its own.
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")
 @pytest.mark.long
-def test_a_compiled_loss_gives_the_same_losses(tmp_path):
+@pytest.mark.parametrize("is_batched", [False, True])
+def test_a_compiled_loss_gives_the_same_losses(tmp_path, is_batched):
     results = []
     for option in ("false", "true"):
-        learner = filled(tmp_path / option, f"optimizer.compile={option}")
+        learner = filled(tmp_path / option, f"optimizer.compile={option}", is_batched=is_batched)
         torch.manual_seed(9)
         results.append(learner.update(5)["loss"].tolist())
         learner.close()
     # Adam divides by the gradient's size: the rounding of a tiny one is a whole step.
     assert results[0] == pytest.approx(results[1], rel=1e-3)
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")
+@pytest.mark.long
+def test_a_loss_is_compiled_whole_and_before_its_capture(tmp_path, monkeypatch):
+    """Once in each stage: a capture would fail if torch compiled within it."""
+    torch.compiler.reset()
+    counters.clear()
+    numbers = []
+
+    def capture(function):
+        numbers.append(counters["stats"]["unique_graphs"])
+        return function
+
+    monkeypatch.setattr(graphs, "capture", capture)
+    options = ("optimizer.compile=true", "loss.target_interval=3")
+    learner = filled(tmp_path, *options, is_batched=True)
+    learner.algorithm.is_graphed = True
+    for transitions in (0, 200):
+        learner.algorithm.anneal(transitions)
+        learner.update(20)
+    learner.close()
+    assert numbers == [1, 1, 2, 2]
+    assert counters["stats"]["unique_graphs"] == 2
+    assert not counters["graph_break"]
