@@ -7,6 +7,8 @@ import torch
 from marl_lanes.traffic.machine.graphics import find_gpu
 
 TOLERANCE = 1e-9
+LONGITUDINAL = {"max_acceleration": 2.0, "max_braking": 3.0, "max_speed": 40.0}
+"""``action.longitudinal`` of a scenario with two actions."""
 
 
 def find_reason():
@@ -47,3 +49,12 @@ def assert_close(name, here, there, tolerance=TOLERANCE):
         assert len(wrong) == 0, (name, wrong[0], len(wrong), here[tuple(wrong[0])])
         return
     np.testing.assert_allclose(there, here, rtol=tolerance, atol=tolerance, err_msg=name)
+
+
+def draw(rng, simulator):
+    """Actions of which some are small, some at the bounds and a few beyond them."""
+    shape = simulator.num_envs, simulator.num_slots
+    scale = rng.choice([0.02, 0.2, 0.6], (*shape, 1))
+    steering = rng.uniform(-1.0, 1.0, (*shape, 1)) * scale
+    longitudinal = rng.uniform(-4.0, 3.0, (*shape, 1))
+    return np.concatenate([steering, longitudinal], -1)[..., : simulator.num_actions]

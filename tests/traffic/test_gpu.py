@@ -5,14 +5,13 @@ import pickle
 
 import numpy as np
 import pytest
-from devices import assert_close, assert_same, needs_gpu
+from devices import LONGITUDINAL, assert_close, assert_same, draw, needs_gpu
 
 from marl_lanes import Simulator, list_scenarios
 
 NUM_ROADS = 48
 NUM_STEPS = 1000
-LONGITUDINAL = {"max_acceleration": 2.0, "max_braking": 3.0, "max_speed": 40.0}
-"""Roads enough that all branches are taken, and a warm-up that is soon over."""
+"""Roads enough that all branches are taken."""
 
 pytestmark = needs_gpu
 
@@ -25,15 +24,6 @@ def make(scenario, device, *, num_envs=NUM_ROADS, seed=5, **options):
 
 def make_both(scenario="paper", **options):
     return [make(scenario, device, **options) for device in ("cpu", "cuda")]
-
-
-def draw(rng, simulator):
-    """Actions of which some are small, some at the bounds and a few beyond them."""
-    shape = simulator.num_envs, simulator.num_slots
-    scale = rng.choice([0.02, 0.2, 0.6], (*shape, 1))
-    steering = rng.uniform(-1.0, 1.0, (*shape, 1)) * scale
-    longitudinal = rng.uniform(-4.0, 3.0, (*shape, 1))
-    return np.concatenate([steering, longitudinal], -1)[..., : simulator.num_actions]
 
 
 def drive(rng, simulators, num_steps, has_followers=False):

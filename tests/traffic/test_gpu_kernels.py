@@ -1,6 +1,5 @@
 """Without a GPU: every kernel compiles for it, and simulated it does what the CPU does."""
 
-import inspect
 import re
 import subprocess
 import sys
@@ -8,17 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gpu_compiler import build, compile_ptx
+from gpu_compiler import CAPABILITIES, arguments, build, compile_ptx, kernel_arguments
 
-from marl_lanes import load_scenario
 from marl_lanes.traffic import step
-from marl_lanes.traffic.machine.state import allocate
 from marl_lanes.traffic.machine.team import MOST_MEMBERS
-from marl_lanes.traffic.parameters import array_sizes, make_parameters
-from marl_lanes.traffic.readout import changer_columns, follower_columns
 from marl_lanes.traffic.road.neighbors import neighbor_in_lane
 
-CAPABILITIES = [(8, 0), (9, 0)]
 MOST_STACK = 256
 """[bytes] Of a thread: what its registers do not hold."""
 REGISTERS = 65_536
@@ -36,44 +30,6 @@ OTHERS = (
 )
 
 pytestmark = pytest.mark.slow
-
-
-def arguments():
-    """An argument of each kernel by its name."""
-    scenario = load_scenario("hidden")
-    state = allocate(num_envs=2, **array_sizes(scenario))
-    flat = state.agents.shape
-    flag = np.empty((2, 1), np.bool_)
-    numbers = np.zeros((*flat, 1))
-    return {
-        **vars(state),
-        **vars(make_parameters(scenario)),
-        **changer_columns(flat),
-        **follower_columns(flat),
-        **dict.fromkeys(("road_done", "road_terminated", "road_truncated"), flag),
-        **dict.fromkeys(("mode", "num_steps", "policy"), 0),
-        **dict.fromkeys(("seed", "first_road"), np.uint64(0)),
-        **dict.fromkeys(("actions", "follower_actions", "kept"), numbers),
-        "given": numbers.astype(np.float32),
-        "has_longitudinal": True,
-        **dict.fromkeys(("refused", "alarms"), np.zeros(2, np.int64)),
-    }
-
-
-def kernel_arguments(name):
-    """A kernel, and its arguments in order."""
-    from marl_lanes.traffic import gpu_kernels
-
-    kernel = getattr(gpu_kernels, name)
-    given = arguments()
-    if name in {"advance", "look_for_full_roads", "fill_rows"}:
-        given["mask"] = np.ones(2, np.bool_)
-    if name == "fill_rows":
-        given |= {"rows": np.zeros((2, 3), np.uint32), "row": np.zeros(3, np.uint32)}
-    if name == "read_vehicles":
-        given["rows"] = np.zeros((2, 3, 7), np.float32)
-    names = inspect.signature(kernel.py_func).parameters
-    return kernel, [given[one] for one in names]
 
 
 def check(name, capability, monkeypatch):
