@@ -17,7 +17,7 @@ _UNFINISHED = int(Outcome.UNFINISHED)
 GROUPS_AT_WORK = 16
 """Groups of threads that one of a GPU's processors is to have at work at once, each a block.
 
-That leaves 128 registers for each thread; with all that it would take, there were 11 groups.
+That leaves 128 registers for each thread. Without a bound it takes more, and fewer are at work.
 """
 
 _LIMITS: dict[str, Any] = {"launch_bounds": (MOST_MEMBERS, GROUPS_AT_WORK)}
