@@ -123,6 +123,17 @@ def test_the_same_bytes_again_and_with_other_roads_beside():
     assert again.initial_seed == many.initial_seed == 5
 
 
+def test_only_the_time_depends_on_the_team():
+    states = []
+    for size in (1, 2, 4, 8, 16, 32):
+        simulator = Simulator("yielding", NUM_ROADS, seed=5, device="cuda")
+        simulator.gpu_roads.form_teams(size)
+        simulator.reset()
+        drive(np.random.default_rng(9), [simulator], NUM_STEPS // 4)
+        states.append(simulator.state.tobytes())
+    assert len(set(states)) == 1
+
+
 def test_waiting_for_a_live_agent():
     both = make_both("paper", num_envs=4)
     for simulator in both:

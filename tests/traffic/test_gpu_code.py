@@ -119,6 +119,22 @@ def test_learned_followers(advance, tmp_path):
     read_out(here, tmp_path)
 
 
+def test_only_the_time_depends_on_the_team(advance):
+    overrides = {"command": {"probability": 1.0}, "num_agents": None, "horizon": None}
+    states = []
+    for size, order in (8, 1), (32, 2), (1, 0):
+        simulator = on_gpu_code(
+            Simulator("yielding", NUM_ROADS, seed=5, num_threads=1, overrides=overrides),
+            advance,
+            size,
+            order,
+        )
+        simulator.reset()
+        drive(np.random.default_rng(4), [simulator], NUM_STEPS // 4)
+        states.append(simulator.state.tobytes())
+    assert states[0] == states[1] == states[2]
+
+
 def read_out(simulator, folder):
     """What the kernels that surround the step read is what the CPU's functions read."""
     flat = simulator.agents.shape

@@ -89,9 +89,11 @@ def _visit_agents(scene: Any, is_changing: bool) -> bool:
 @internal
 def _change_phases(scene: Any) -> None:
     """Enter new phases, and leave every agent with the neighbors that it has then."""
-    # A team first looks whether there is a new phase. That is rare; only then is there an order.
-    for part in range(0 if is_team() else 1, 3):
-        is_changing = part == 1
+    # A team first looks whether there is a new phase: that is rare, and only then is there an
+    # order. Then phases change, and at last all get the neighbors of that state.
+    look, change, update = 0, 1, 2
+    for part in range(look if is_team() else change, update + 1):
+        is_changing = part == change
         is_new = False
         if not is_changing or member() == 0:
             is_new = _visit_agents(scene, is_changing)
