@@ -43,16 +43,20 @@ DEFAULTS = (
     "collector.steps_per_batch=8",
     "collector.total_transitions=6000000",
     "replay.batch_size=1024",
+    "replay.capacity=65536",
+    "replay.rare_share=0.0",
     "loss.gamma=0.99",
     "loss.num_steps=1",
     "loss.tau=0.02",
-    "optimizer.mu_learning_rate=0.0003",
+    "optimizer.mu_learning_rate=0.001",
+    "optimizer.final_rate=1.0",
+    "optimizer.max_gradient_norm=null",
     "optimizer.transitions_per_update=512",
-    "optimizer.pretraining_transitions=1600000",
+    "optimizer.pretraining_transitions=300000",
     "exploration.initial_sigma=0.1",
     "exploration.final_sigma=0.02",
     "exploration.probability=1.0",
-    "evaluation.save_interval=600000",
+    "evaluation.save_interval=300000",
 )
 FIXED = ("evaluation.criterion=null", "evaluation.record=false", "demonstrations.num_transitions=0")
 GOOD_RATIO, GOOD_RATE = 1.10, 0.99
