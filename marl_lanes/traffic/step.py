@@ -67,7 +67,8 @@ def move(
 
     Returns:
         Whether a vehicle leaves, whether one has reached its command position, and the longest
-        relative motion of two vehicles along the road and across it [m].
+        relative motion of two vehicles along the road and across it [m]; a team says 0 where
+        collisions do not depend on it.
     """
     is_leaving = is_command_due = False
     furthest, nearest, left, right = -math.inf, math.inf, 0.0, 0.0
@@ -96,12 +97,18 @@ def move(
             is_leaving = True
         elif car.position >= car.command_position:
             is_command_due = True
+    along, across = furthest - nearest, left - right
     if is_team():
         meet()
         if any_member(_has_overtaken(road, order, vehicles)) and member() == 0:
             for rank in range(1, road.num_vehicles):
                 insert_by_position(order, rank, vehicles)
-    along, across = most(furthest) - least(nearest), most(left) - least(right)
+        # Mostly no vehicle is so fast that two could pass each other within the step.
+        is_slow = nearest >= 0.0 and furthest <= constants.shortest_length
+        is_straight = max(left, -right) <= 0.25 * constants.narrowest_width
+        along = across = 0.0
+        if any_member(not (is_slow and is_straight)):
+            along, across = most(furthest) - least(nearest), most(left) - least(right)
     return any_member(is_leaving), any_member(is_command_due), along, across
 
 

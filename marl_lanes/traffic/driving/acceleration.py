@@ -10,7 +10,7 @@ from marl_lanes.traffic.following.idm import free_road_term, idm_acceleration
 from marl_lanes.traffic.machine.compiled import internal
 from marl_lanes.traffic.machine.prefetch import prefetch
 from marl_lanes.traffic.machine.state import NONE, Phase
-from marl_lanes.traffic.machine.team import is_team, member, team_size
+from marl_lanes.traffic.machine.team import any_member, is_team, member, team_size
 from marl_lanes.traffic.road.geometry import is_body_in
 from marl_lanes.traffic.road.motion import attainable
 from marl_lanes.traffic.road.neighbors import body_ahead, entering_ahead, find_rank
@@ -189,6 +189,7 @@ def accelerate(
         for lane in range(lanes.shape[0]):
             lanes[lane].nearest = NONE
             lanes[lane].nearest_engaged = NONE
+    has_entering = False
     for rank in range(first, stop, stride):
         prefetch(every_vehicle, after, rank * size, size)
         slot = order[rank]
@@ -215,13 +216,18 @@ def accelerate(
             arcs,
             constants,
         )
-        if not is_team():
+        if is_team():
+            is_engaged = car.agent > NONE and agents[car.agent].phase == _ENGAGED
+            has_entering = has_entering or is_engaged or car.moving_over != 0
+        else:
             _note(slot, car, lanes, agents)
     if is_team():
+        has_entering = any_member(has_entering)
         for lane in range(member(), lanes.shape[0], team_size()):
             lanes[lane].nearest = body_ahead(count, lane, lanes, order, vehicles)
-            lanes[lane].nearest_engaged = entering_ahead(
-                count, lane, lanes, order, vehicles, agents
-            )
+            lanes[lane].nearest_engaged = NONE
+            if has_entering:
+                last = entering_ahead(count, lane, lanes, order, vehicles, agents)
+                lanes[lane].nearest_engaged = last
     # Departures take the first free slot, so vehicles are in the first slots, with a few free.
     prefetch(every_vehicle, after, count * size, _SPARE_SLOTS * size)
