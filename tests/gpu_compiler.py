@@ -5,11 +5,13 @@ import re
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 from numba import cuda, typeof
 from numba.cuda import dispatcher
 from numba.cuda.compiler import compile_all
 
 from marl_lanes import load_scenario
+from marl_lanes.traffic.machine.graphics import find_linker_fault
 from marl_lanes.traffic.machine.state import allocate
 from marl_lanes.traffic.parameters import array_sizes, make_parameters
 from marl_lanes.traffic.readout import changer_columns, follower_columns
@@ -49,6 +51,9 @@ def build(kernel, arguments, monkeypatch, capability):
     """Compile and link a kernel as its first launch does."""
     from cuda.bindings import nvjitlink
 
+    fault = find_linker_fault()
+    if fault is not None:
+        pytest.skip(fault)
     pretend_device(monkeypatch, capability)
     types = tuple(map(typeof, arguments))
     bounds = kernel.targetoptions.get("launch_bounds")

@@ -1,12 +1,16 @@
 """Finding a GPU, and one clear line where something for it is missing."""
 
 import re
-from typing import Any
+from functools import cache
+from typing import Any, cast
+
+import numba
 
 from marl_lanes.extras import MissingExtraError, need
 from marl_lanes.scenario.messages import shown
 
 EXTRA = "gpu"
+_ANY_CAPABILITY = 8, 0
 _NAME = re.compile(r"cpu|cuda(?::(\d{1,4}))?")
 
 
@@ -36,6 +40,8 @@ def find_gpu(number: int) -> Any:
     reason = find_fault(cuda)
     if reason is None and number >= len(cuda.gpus):
         reason = f"there is no GPU {number}: there are {len(cuda.gpus)}, from 0"
+    if reason is None:
+        reason = find_linker_fault()
     if reason is not None:
         raise ValueError(f"device = cuda:{number}: must be cpu here: {reason}")
     return cuda
@@ -81,4 +87,36 @@ def find_fault(cuda: Any) -> str | None:
         return f"NVIDIA's driver is missing or does not start: {reason}"
     if len(cuda.gpus) == 0:
         return "the driver is there, and no GPU"
+    return None
+
+
+@cache
+def find_linker_fault() -> str | None:
+    """Why CUDA's linker does not take what numba-cuda's compiler makes; None if it does.
+
+    A process has one linker. If torch, for another version of CUDA, comes first, it is torch's.
+    """
+    if cast("Any", numba.config).ENABLE_CUDASIM:
+        return None
+    from cuda.bindings import nvjitlink
+    from numba import cuda, void
+
+    try:
+        present = ".".join(map(str, nvjitlink.version()))
+    except RuntimeError:
+        return None  # there is none, and numba-cuda goes without
+    code, _ = cuda.compile(lambda: None, void(), cc=_ANY_CAPABILITY, output="ltoir")
+    options = [f"-arch=sm_{''.join(map(str, _ANY_CAPABILITY))}", "-lto"]
+    linker = nvjitlink.create(len(options), options)
+    try:
+        nvjitlink.add_data(linker, nvjitlink.InputType.LTOIR, code, len(code), "nothing")
+        nvjitlink.complete(linker)
+    except nvjitlink.nvJitLinkError:
+        return (
+            f"the linker of CUDA {present}, which another package has loaded, does not take what "
+            "numba-cuda's compiler makes: install numba-cuda[cu12] or numba-cuda[cu13], as torch "
+            "is for CUDA 12 or 13"
+        )
+    finally:
+        nvjitlink.destroy(linker)
     return None

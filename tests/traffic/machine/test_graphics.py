@@ -56,6 +56,25 @@ def test_a_missing_driver_and_a_missing_gpu_are_told_apart(monkeypatch):
         Simulator("paper", device="cuda:2")
 
 
+@pytest.mark.slow
+def test_a_linker_of_another_version_of_cuda(monkeypatch):
+    nvjitlink = pytest.importorskip("cuda.bindings.nvjitlink")
+
+    def complete(_):
+        raise nvjitlink.nvJitLinkError(6)
+
+    put(monkeypatch)
+    monkeypatch.setattr(nvjitlink, "complete", complete)
+    monkeypatch.setattr(nvjitlink, "version", lambda: (12, 8))
+    graphics.find_linker_fault.cache_clear()
+    with pytest.raises(
+        ValueError,
+        match=r"^device = cuda:0: must be cpu here: the linker of CUDA 12\.8, .* CUDA 12 or 13$",
+    ):
+        Simulator("paper", device="cuda")
+    graphics.find_linker_fault.cache_clear()
+
+
 def test_a_compiler_that_does_not_load(monkeypatch):
     def need(module, _):
         if module == "numba.cuda":
