@@ -30,7 +30,9 @@ from turns import print_target
 
 from marl_lanes import LaneChangeEnv, Simulator
 from marl_lanes.files import write_json
+from marl_lanes.traffic.machine.graphics import find_gpu
 from marl_lanes.traffic.machine.threads import count_processors
+from marl_lanes.training.command_line import refusing
 
 FAST: dict[str, Any] = {
     "num_agents": None,
@@ -72,6 +74,13 @@ def time_on_gpu(call: Callable[[], object], number: int) -> float:
     end.record()
     torch.cuda.synchronize()
     return float(1e-3 * start.elapsed_time(end) / number)
+
+
+def check_gpu() -> None:
+    """Whether torch and the kernels can use a GPU; a ValueError if not."""
+    find_gpu(0)
+    if not torch.cuda.is_available():
+        raise ValueError(f"torch {torch.__version__} can use no GPU: install its build for CUDA")
 
 
 def measure_bandwidth() -> float:
@@ -205,6 +214,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--no-tests", action="store_true", help="leave the tests out")
     options = parser.parse_args(arguments)
     begin = time.perf_counter()
+    with refusing():
+        check_gpu()
     bandwidth = measure_bandwidth()
     card = torch.cuda.get_device_name(0)
     print(f"{card}; a copy moves {bandwidth / 1e12:.2f} TB/s", flush=True)

@@ -106,6 +106,12 @@ def test_the_tables_of_a_gpu(tmp_path, capsys, monkeypatch):
     """With the CPU in its place: what it prints and writes."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     gpu = importlib.import_module("gpu")
+    if not gpu.torch.cuda.is_available():
+        with pytest.raises(SystemExit) as caught:
+            gpu.main([])
+        assert caught.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("error: ")
     sizes = []
     roads = SimpleNamespace(team_size=8, form_teams=sizes.append)
     monkeypatch.setattr(Simulator, "gpu_roads", roads)
@@ -117,6 +123,7 @@ def test_the_tables_of_a_gpu(tmp_path, capsys, monkeypatch):
         "FEW_ENVS": 4,
         "capture": lambda call: call,
         "advance": lambda env: env.simulator.advance(),
+        "check_gpu": lambda: None,
         "measure_bandwidth": lambda: 1e12,
         "time_on_gpu": lambda call, _: (call(), 1e-3 * next(took))[1],
     }.items():
