@@ -160,16 +160,6 @@ _of_other: Any = (
 
 
 @internal
-def least(value: float) -> float:
-    """The least value of all members."""
-    distance = team_size() >> 1
-    while distance > 0:
-        value = min(value, _of_other(value, distance))
-        distance >>= 1
-    return value
-
-
-@internal
 def most(value: float) -> float:
     """The greatest value of all members."""
     distance = team_size() >> 1
@@ -177,3 +167,9 @@ def most(value: float) -> float:
         value = max(value, _of_other(value, distance))
         distance >>= 1
     return value
+
+
+@internal
+def least(value: float) -> float:
+    """The least value of all members."""
+    return -most(-value)
