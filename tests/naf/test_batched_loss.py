@@ -4,6 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 import torch
+from elsewhere import ELSEWHERE, NoHost
 from naf import paper_networks, two_actions
 from tensordict import TensorDict
 from torchrl.objectives import SoftUpdate, ValueEstimators
@@ -119,6 +120,27 @@ def test_every_form_has_the_same_loss_and_gradients(form, frozen):
     masked = form.startswith("cascade-gated")
     number = sum(isinstance(one, Heads) for one in network.modules())
     assert (plain, batched) == (number + 1, 1 if masked else 0)
+
+
+@pytest.mark.filterwarnings("ignore:No target network updater:UserWarning")
+@pytest.mark.parametrize("num_steps", [1, 3])
+@pytest.mark.parametrize("kind", [NAFLoss, BatchedNAFLoss])
+@pytest.mark.parametrize("form", FORMS)
+def test_on_another_device_it_needs_nothing_of_the_host(form, kind, num_steps):
+    """An update on a GPU would wait for it; as a graph it would fail."""
+    rows = make_rows(make_form(form), ROWS)
+    if num_steps > 1:
+        rows["steps_to_next_obs"] = torch.full((ROWS, 1), num_steps)
+    loss = kind(make_form(form).to(ELSEWHERE))
+    loss.make_value_estimator(gamma=0.9)
+    if kind is BatchedNAFLoss:
+        loss.batch_networks(ROWS)
+    parameters = [*loss.value_network.parameters()]
+    rows = rows.to(ELSEWHERE)
+    with NoHost():
+        value = loss(rows)["loss"]
+        gradients = torch.autograd.grad(value, parameters, torch.ones_like(value))
+    assert {one.device for one in [value, *gradients]} == {ELSEWHERE}
 
 
 @pytest.mark.parametrize("reduction", ["mean", "sum", "none"])

@@ -2,13 +2,16 @@
 
 import pytest
 import torch
+from elsewhere import ELSEWHERE, NoHost
 from learners import TWO_ACTIONS, Evaluation, changers, followers, tables
 from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
 
 from marl_lanes import LaneChangeEnv
-from marl_lanes.training.algorithms.exploration import NoisyActor
+from marl_lanes.training.algorithms.exploration import GaussianNoise, NoisyActor
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.config import ExplorationConfig
+from marl_lanes.training.transitions import LivePolicy
 
 torch.set_num_threads(1)
 pytestmark = pytest.mark.filterwarnings(
@@ -34,6 +37,26 @@ def test_a_copy_that_drives_follows_the_network(tmp_path):
         learner.algorithm.network.state_dict(),
     )
     assert any(not torch.equal(actor[key], network[key]) for key in network)
+
+
+@pytest.mark.parametrize("mu", ["cascade", "cascade-gated", "paper", "damped", "mlp", "paper+idm"])
+def test_on_another_device_an_agent_needs_nothing_of_the_host(mu):
+    """Steps on a GPU would wait for it; as a graph they would fail."""
+    env = LaneChangeEnv("interactive" if "+" in mu else "paper", 1, seed=0)
+    network = make_network(env.scenario, mu, [8]).to(ELSEWHERE)
+    size = network.action_dim
+    noise = GaussianNoise(
+        ("changers", "action"), network.box, network.box.half_range.clone(), 0.1, 0.5
+    )
+    drive = LivePolicy(network.policy().module, size, device=ELSEWHERE)
+    seen = {
+        "observation": torch.zeros(4, 3, len(network.features), device=ELSEWHERE),
+        "acting": torch.zeros(4, 3, dtype=torch.bool, device=ELSEWHERE),
+    }
+    step = TensorDict({"changers": seen}, [4])
+    with NoHost():
+        found = TensorDictSequential(drive, noise)(step)["changers", "action"]
+    assert (found.shape, found.device) == ((4, 3, size), ELSEWHERE)
 
 
 def sampled_noise(learner, group, num_actions):
