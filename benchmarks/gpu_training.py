@@ -4,7 +4,8 @@ python benchmarks/gpu_training.py [--json FILE] [FIELD=VALUE ...]
 
 The fields are those of agents/naf/train.py, and its recipe is fast but for DEFAULTS: the numbers of
 many roads, and of a network that is untrained and drives badly before. The time is that of the
-training; capturing graphs is in it, evaluating and saving are not.
+training without evaluating, saving, and the first updates of each stage, in which torch compiles
+and captures: those seconds have a line of their own.
 The models that it saves are evaluated afterwards, on the CPU, until one is good, and the last one.
 """
 
@@ -14,11 +15,14 @@ import math
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
+from torch import Tensor
 
 from marl_lanes import LaneChangeEnv, Scenario
 from marl_lanes.evaluation.metrics import evaluate
@@ -31,6 +35,7 @@ from marl_lanes.training.algorithms.naf import NAF, TrainingConfig
 from marl_lanes.training.checkpoint import make_network
 from marl_lanes.training.command_line import compose_fields, refusing
 from marl_lanes.training.config import read_config
+from marl_lanes.training.graphs import NUM_WARMUPS
 from marl_lanes.training.learner import Learner
 from marl_lanes.training.transitions import CPU
 
@@ -66,9 +71,42 @@ NUM_UPDATES = 1024
 Row = dict[str, float | str]
 
 
+class Preparing:
+    """The time of the first updates of each kind, in which torch compiles and captures.
+
+    Args:
+        algorithm: its updates are timed until they are replayed.
+
+    Attributes:
+        seconds: until now.
+    """
+
+    def __init__(self, algorithm: NAF) -> None:
+        self.seconds = 0.0
+        self._algorithm = algorithm
+        self._take_step = algorithm.take_step
+        self._calls = Counter[tuple[bool, bool]]()
+        algorithm.take_step = self.take_step  # type: ignore[method-assign]
+
+    def take_step(self, batch: TensorDictBase, number: int) -> Mapping[str, Tensor]:
+        """An update."""
+        network, loss = self._algorithm.network, self._algorithm.config.loss
+        kind = network.mu_frozen, number % loss.target_interval == 0
+        self._calls[kind] += 1
+        if self._calls[kind] > NUM_WARMUPS + 1:
+            return self._take_step(batch, number)
+        wait()
+        begin = time.perf_counter()
+        found = self._take_step(batch, number)
+        wait()
+        self.seconds += time.perf_counter() - begin
+        return found
+
+
 def train(config: TrainingConfig) -> tuple[Learner, Scenario, list[tuple[PolicyNetwork, float]]]:
     """Train; copies of the network, untrained first, and the seconds of training before each."""
     saved: list[tuple[PolicyNetwork, float]] = []
+    preparing: list[Preparing] = []
 
     def keep(network: PolicyNetwork, seconds: float) -> None:
         saved.append((copy.deepcopy(network).to(CPU), seconds))
@@ -76,16 +114,19 @@ def train(config: TrainingConfig) -> tuple[Learner, Scenario, list[tuple[PolicyN
     def make(env: LaneChangeEnv, scenario: Scenario, *devices: torch.device) -> NAF:
         network = make_network(scenario, config.network.mu, config.network.hidden_sizes)
         keep(network, 0.0)
-        return NAF(config, env, network, device=devices[0], acting_device=devices[1])
+        algorithm = NAF(config, env, network, device=devices[0], acting_device=devices[1])
+        preparing.append(Preparing(algorithm))
+        return algorithm
 
     learner, scenario = start(config, make, "benchmarks/gpu_training.py")
 
     def note(network: PolicyNetwork, _: Path | None) -> Mapping[str, Any]:
-        keep(network, learner.counters["seconds_training"])
+        keep(network, learner.counters["seconds_training"] - preparing[0].seconds)
         return dict.fromkeys(config.evaluation.metrics)
 
     try:
         learner.train(note)
+        learner.counters["seconds_preparing"] = preparing[0].seconds
         learner.counters["seconds_update"] = time_update(learner)
     finally:
         learner.close()
@@ -136,7 +177,8 @@ def measure(options: Sequence[str] = (), *, is_evaluated: bool = True) -> Row:
     row: Row = {
         "training: transitions": learner.transitions,
         "training: updates": counters["updates"],
-        "training: seconds": counters["seconds_training"],
+        "training: seconds": counters["seconds_training"] - counters["seconds_preparing"],
+        "training: seconds of compiling and capturing updates": counters["seconds_preparing"],
         **{f"training: us a transition: {key}": us for key, (us, _) in learner.split.items()},
         f"an update of {config.replay.batch_size}: us": 1e6 * counters["seconds_update"],
     }

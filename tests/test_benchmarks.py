@@ -59,9 +59,13 @@ def test_a_training_on_one_device(tmp_path, capsys):
     sizes = ("collector.num_envs=16", "collector.total_transitions=600", "replay.batch_size=16")
     begin = ("replay.warmup_transitions=400", "optimizer.pretraining_transitions=500")
     ends = ("evaluation.save_interval=300", "evaluation.num_maneuvers=2", "network.mu=cascade")
-    run("gpu_training", "device=cpu", *sizes, *begin, *ends, "--json", file)
+    often = "optimizer.transitions_per_update=8"
+    run("gpu_training", "device=cpu", *sizes, *begin, *ends, often, "--json", file)
     figures = json.loads(file.read_text(encoding="utf-8"))
+    assert figures["training: updates"] > 10
     assert figures["training: transitions"] >= 600
+    assert figures["training: seconds"] > 0.0
+    assert figures["training: seconds of compiling and capturing updates"] > 0.0
     assert 0.0 < figures["final model: success rate"] <= 1.0
     # This structure drives well from the beginning.
     assert figures["untrained: cost ratio"] < 1.1
@@ -103,7 +107,7 @@ def test_the_kernels_of_a_compiled_update(tmp_path):
 
 @pytest.mark.slow
 def test_the_tables_of_a_gpu(tmp_path, capsys, monkeypatch):
-    """With the CPU in its place: what it prints and writes."""
+    """With the CPU in its place, and a torch that cannot compile: what it prints and writes."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     gpu = importlib.import_module("gpu")
     if not gpu.torch.cuda.is_available():
@@ -117,6 +121,13 @@ def test_the_tables_of_a_gpu(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(Simulator, "gpu_roads", roads)
     monkeypatch.setattr(gpu.torch.cuda, "get_device_name", lambda _: "a card")
     took = iter(range(1, 10**6))
+
+    def measure_training(options, *, is_evaluated=True):
+        if "optimizer.compile=true" in options:
+            raise gpu.TorchDynamoException("no C compiler\nand more of it")
+        row = {"training: seconds": 2.5, "an update of 8: us": 120.0}
+        return row | ({gpu.SECONDS_TO_GOOD: "not reached"} if is_evaluated else {})
+
     for name, stand_in in {
         "DEVICE": "cpu",
         "ENVS": (4, 6),
@@ -124,12 +135,13 @@ def test_the_tables_of_a_gpu(tmp_path, capsys, monkeypatch):
         "capture": lambda call: call,
         "advance": lambda env: env.simulator.advance(),
         "check_gpu": lambda: None,
+        "measure_training": measure_training,
         "measure_bandwidth": lambda: 1e12,
         "time_on_gpu": lambda call, _: (call(), 1e-3 * next(took))[1],
     }.items():
         monkeypatch.setattr(gpu, name, stand_in)
     file = tmp_path / "figures.json"
-    assert gpu.main(["--json", str(file), "--no-tests", "--no-training"]) == 0
+    assert gpu.main(["--json", str(file), "--no-tests"]) == 0
     figures = json.loads(file.read_text(encoding="utf-8"))
     few, more = figures["rows"]
     assert few["num_envs"] == 4
@@ -145,6 +157,9 @@ def test_the_tables_of_a_gpu(tmp_path, capsys, monkeypatch):
     printed = capsys.readouterr().out
     assert printed.startswith("a card; a copy moves 1.00 TB/s")
     assert "10^9 vehicle-steps/s, best batch" in printed
+    assert figures["trainings"]["a compiled training"] == {"error": "no C compiler"}
+    lines = [line for line in printed.splitlines() if line.startswith("a training: ")]
+    assert [line.split()[-1] for line in lines[-3:]] == ["holds", "MISSED", "MISSED"]
 
 
 @pytest.mark.slow
