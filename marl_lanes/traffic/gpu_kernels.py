@@ -7,6 +7,7 @@ import numba
 from numba import cuda
 
 from marl_lanes.traffic.command.phases import is_acting
+from marl_lanes.traffic.machine.launches import gpu_kernel
 from marl_lanes.traffic.machine.state import NONE, Outcome
 from marl_lanes.traffic.machine.team import MOST_MEMBERS
 from marl_lanes.traffic.readout import read_changer, read_follower
@@ -29,7 +30,7 @@ REFUSED, IS_FULL = 0, 1
 for that of the followers; and whether a road is full."""
 
 
-@cuda.jit(**_LIMITS)
+@gpu_kernel(**_LIMITS)
 def advance(
     mode: int,
     num_steps: int,
@@ -93,7 +94,7 @@ def advance(
         )
 
 
-@cuda.jit
+@gpu_kernel()
 def fill_rows(mask: Any, rows: Any, row: Any) -> None:
     """Set the masked rows of ``rows``, (E, n), to ``row``, (n,)."""
     size = row.shape[0]
@@ -102,7 +103,7 @@ def fill_rows(mask: Any, rows: Any, row: Any) -> None:
             rows[index // size, index % size] = row[index % size]
 
 
-@cuda.jit
+@gpu_kernel()
 def seed_roads(roads: Any, seed: int, first_road: int) -> None:
     """Restart the random numbers of every road; a road's stream is its index."""
     for env in range(cuda.grid(1), roads.shape[0], cuda.gridsize(1)):
@@ -111,7 +112,7 @@ def seed_roads(roads: Any, seed: int, first_road: int) -> None:
         roads[env].random_counter = 0
 
 
-@cuda.jit
+@gpu_kernel()
 def look_for_full_roads(mask: Any, roads: Any, alarms: Any) -> None:
     """Raise an alarm if departures waited because ``max_vehicles`` were on a masked road."""
     for env in range(cuda.grid(1), roads.shape[0], cuda.gridsize(1)):
@@ -119,7 +120,7 @@ def look_for_full_roads(mask: Any, roads: Any, alarms: Any) -> None:
             alarms[IS_FULL] = 1
 
 
-@cuda.jit
+@gpu_kernel()
 def copy_numbers(given: Any, kept: Any) -> None:
     """Set ``kept``, (E, A, D) float64, to ``given``, which may be of another layout and type."""
     num_slots, size = kept.shape[1], kept.shape[2]
@@ -137,7 +138,7 @@ def _refuse(number: int, refused: Any, alarms: Any) -> None:
         alarms[REFUSED] = number
 
 
-@cuda.jit
+@gpu_kernel()
 def check_actions(
     actions: Any, agents: Any, has_longitudinal: bool, refused: Any, alarms: Any
 ) -> None:
@@ -160,7 +161,7 @@ def check_actions(
                 _refuse(index + 1, refused, alarms)
 
 
-@cuda.jit
+@gpu_kernel()
 def check_follower_actions(
     actions: Any, followers: Any, policy: int, refused: Any, alarms: Any
 ) -> None:
@@ -174,7 +175,7 @@ def check_follower_actions(
                 _refuse(-index - 1, refused, alarms)
 
 
-@cuda.jit
+@gpu_kernel()
 def read_changers(
     agents: Any,
     has_longitudinal: bool,
@@ -220,7 +221,7 @@ def read_changers(
             road_truncated[env, 0] = is_cut
 
 
-@cuda.jit
+@gpu_kernel()
 def read_followers(
     agents: Any,
     followers: Any,
@@ -252,7 +253,7 @@ def read_followers(
         )
 
 
-@cuda.jit
+@gpu_kernel()
 def read_vehicles(
     roads: Any, order: Any, vehicles: Any, agents: Any, profiles: Any, rows: Any
 ) -> None:

@@ -1,22 +1,59 @@
-"""Launches of a kernel with the same arguments again and again, and numba-cuda's private names.
+"""Kernels of a GPU: kept on disk, launched with the same arguments; numba-cuda's private names.
 
-Numba-cuda looks at every argument at every launch, which takes as long as the step of thousands of
-roads. So the arguments are turned into the kernel's numbers once. Without a private name used here
-the results are the same, but each launch takes longer.
+To compile a step for a GPU takes some twenty seconds: once, and not in every process. Numba-cuda
+looks at every argument at every launch, which takes as long as the step of thousands of roads. So
+the arguments are turned into the kernel's numbers once. Without a private name used here the
+results are the same, but starting, or each launch, takes longer.
 """
 
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
+import numba
 from numba import cuda
+from numba.cuda import dispatcher
+
+from marl_lanes.traffic.machine.numba_internals import Checked, Lenient, open_cache
 
 Kernel = Any
-"""A function with ``cuda.jit``."""
+"""A function with ``gpu_kernel``."""
 
+# The classes of numba-cuda's cache, as in numba_internals.py.
+_Cache: Any = getattr(dispatcher, "CUDACache", object)
+_Content: Any = getattr(dispatcher, "CUDACacheImpl", object)
+CAN_KEEP = hasattr(_Content, "rebuild") and hasattr(_Cache, "_impl_class")
+"""Whether kernels of a GPU can be cached on disk."""
 
 Block = tuple[int, ...]
 """Threads of a block along its dimensions; along the last one each has work of its own."""
+
+
+class _CheckedContent(Checked, _Content):  # type: ignore[misc]
+    """A kernel of a GPU, checked."""
+
+
+class GpuKernelCache(Lenient, _Cache):  # type: ignore[misc]
+    """Numba-cuda's cache of a kernel of a GPU."""
+
+    _impl_class = _CheckedContent
+
+
+def gpu_kernel(**options: Any) -> Callable[[Callable[..., None]], Kernel]:
+    """Like ``cuda.jit``, for kernels: what is compiled at the first launch is kept on disk.
+
+    Where, and when it is stale, is as for kernels of the CPU; and it is of one kind of GPU.
+    """
+
+    def make(function: Callable[..., None]) -> Kernel:
+        kernel: Kernel = cuda.jit(**options)(function)
+        if not cast("Any", numba.config).ENABLE_CUDASIM:
+            cache = open_cache(GpuKernelCache, function, CAN_KEEP, "numba-cuda")
+            if cache is not None:
+                kernel._cache = cache
+        return kernel
+
+    return make
 
 
 def configure(kernel: Kernel, number: int, block: Block, handle: int) -> Callable[..., None]:

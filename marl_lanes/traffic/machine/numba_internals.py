@@ -49,8 +49,8 @@ CAN_KEEP = hasattr(_Cache, "_impl_class") and all(
 """Whether kernels can be cached on disk."""
 
 
-class _CheckedContent(_Content):  # type: ignore[misc]
-    """A compiled kernel with two digests: of all sources of the simulation, and of its bytes.
+class Checked:
+    """Content of a cache with two digests: of all sources of the simulation, and of its bytes.
 
     Numba invalidates a cached kernel only when its own file changes, although the kernel contains
     the code of the kernels that it calls: the first digest finds changes of the others. Numba may
@@ -58,38 +58,68 @@ class _CheckedContent(_Content):  # type: ignore[misc]
     """
 
     def reduce(self, data: Any) -> tuple[str, bytes, bytes]:
-        content = _dumps(super().reduce(data))
+        """What is written of a compiled kernel."""
+        content = _dumps(super().reduce(data))  # type: ignore[misc]
         return SOURCES, hashlib.sha256(content).digest(), content
 
     def rebuild(self, target_context: Any, reduced_data: Any) -> Any:
+        """The kernel again; a ValueError if the content is stale or damaged."""
         sources, digest, content = reduced_data
         if sources != SOURCES or digest != hashlib.sha256(content).digest():
             raise ValueError("stale or damaged")
         # As safe as numba's own cache, which uses pickle, too.
-        return super().rebuild(target_context, pickle.loads(content))  # noqa: S301
+        kept = pickle.loads(content)  # noqa: S301
+        return super().rebuild(target_context, kept)  # type: ignore[misc]
 
 
-class KernelCache(_Cache):  # type: ignore[misc]
-    """Numba's cache of a kernel on disk; a file that cannot be read or written is a miss."""
-
-    _impl_class = _CheckedContent
+class Lenient:
+    """A cache on disk of which a file that cannot be read or written is a miss."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The cached kernel; None if there is none, or it cannot be used."""
         try:
-            return super().load_overload(sig, target_context)
+            return super().load_overload(sig, target_context)  # type: ignore[misc]
         except Exception:
             # Damaged bytes can raise almost any error. The next save would fail on them, too.
             with suppress(OSError):
-                self.flush()
+                super().flush()  # type: ignore[misc]
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Cache a kernel if possible."""
         try:
-            super().save_overload(sig, data)
+            super().save_overload(sig, data)  # type: ignore[misc]
         except Exception as error:
             _note_loss(getattr(error, "strerror", None) or type(error).__name__)
+
+
+class _CheckedContent(Checked, _Content):  # type: ignore[misc]
+    """A kernel of the CPU, checked."""
+
+
+class KernelCache(Lenient, _Cache):  # type: ignore[misc]
+    """Numba's cache of a kernel of the CPU."""
+
+    _impl_class = _CheckedContent
+
+
+def open_cache(kind: Any, function: Any, can_keep: bool, compiler: str) -> Any:
+    """A cache of this kind for a kernel; None, and a line in the log, if there can be none.
+
+    Args:
+        kind: class of the cache.
+        function: the kernel's Python function.
+        can_keep: whether the compiler has what the cache uses of it.
+        compiler: its name.
+    """
+    if not can_keep:
+        _note_loss(f"this version of {compiler} is not known")
+        return None
+    try:
+        return kind(function)
+    except (OSError, RuntimeError):
+        _note_loss("no folder for them can be written; name one in NUMBA_CACHE_DIR")
+        return None
 
 
 class Kernel(CPUDispatcher):
@@ -97,13 +127,9 @@ class Kernel(CPUDispatcher):
 
     def enable_caching(self) -> None:
         """Find a writable folder for the cache; without one the kernel is compiled in memory."""
-        if not CAN_KEEP:
-            _note_loss("this version of numba is not known")
-            return
-        try:
-            self._cache = KernelCache(self.py_func)
-        except (OSError, RuntimeError):
-            _note_loss("no folder for them can be written; name one in NUMBA_CACHE_DIR")
+        cache = open_cache(KernelCache, self.py_func, CAN_KEEP, "numba")
+        if cache is not None:
+            self._cache = cache
 
 
 class InternalKernel(CPUDispatcher):
