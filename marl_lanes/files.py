@@ -118,7 +118,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         _flush(temporary)
-        if before is not None and sys.platform != "win32":
+        if sys.platform != "win32" and before is not None:
             with suppress(PermissionError):
                 os.chown(temporary, before.st_uid, before.st_gid)
             with suppress(PermissionError):

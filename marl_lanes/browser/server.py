@@ -106,6 +106,12 @@ class _Stream(StreamingResponse):
 class _Files(StaticFiles):
     """The page's files."""
 
+    def lookup_path(self, path: str) -> tuple[str, os.stat_result | None]:
+        try:
+            return super().lookup_path(path)
+        except ValueError:  # a null byte: Starlette before 1.0 answers that it has failed
+            return "", None
+
     def file_response(self, *arguments: object, **options: object) -> Response:
         response = super().file_response(*arguments, **options)  # type: ignore[arg-type]
         response.headers.update(_HEADERS)

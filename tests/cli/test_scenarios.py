@@ -6,6 +6,8 @@ import sys
 import pytest
 import yaml
 from cli.commands import EVALUATE, assert_refused
+from packaging.version import Version
+from pydantic import VERSION
 from scenario.breakages import as_yaml, breakages, fields_with
 
 from marl_lanes import list_scenarios, load_scenario
@@ -113,6 +115,7 @@ def test_what_is_wrong_with_a_scenario_is_a_line_and_the_status_1(capsys):
     assert (found[0]["problem"], told) == (None, lines)
 
 
+@pytest.mark.skipif(Version(VERSION) < Version("2.10"), reason="says less of a map's keys")
 def test_the_printed_schema_is_the_file_that_ships(capsys):
     assert main(["schema"]) == 0
     assert capsys.readouterr().out == FILE.read_text(encoding="utf-8")

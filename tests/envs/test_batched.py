@@ -255,12 +255,11 @@ def test_torchs_defaults_change_nothing(dtype, device, learned_followers):
 
     expected = rollout()
     torch.set_default_dtype(dtype)
-    torch.set_default_device(device)
     try:
-        found = rollout()
+        with torch.device(device):
+            found = rollout()
     finally:
         torch.set_default_dtype(torch.float32)
-        torch.set_default_device(None)
     leaves = {key: leaf.dtype for key, leaf in expected.items(True, True)}
     assert {key: leaf.dtype for key, leaf in found.items(True, True)} == leaves
     assert found.device == torch.device("cpu")

@@ -57,10 +57,7 @@ def test_bounds_are_those_of_the_role_in_every_slot(role):
 
 
 def test_they_are_in_this_computer_whatever_torchs_default_is():
-    torch.set_default_device("meta")
-    try:
+    with torch.device("meta"):
         specs = make_specs(SCENARIO, ROLES, 2, has_state=True)
-    finally:
-        torch.set_default_device(None)
     leaves = [leaf for spec in specs for leaf in spec.values(True, True)]
     assert {leaf.device.type for leaf in leaves} == {"cpu"}

@@ -55,10 +55,8 @@ def line(figure, panel, label):
 
 def bands(figure, panel):
     """Lowest and highest value of each band."""
-    found = [
-        one.get_datalim(figure.axes[panel].transData) for one in figure.axes[panel].collections
-    ]
-    return [(one.y0, one.y1) for one in found]
+    found = [one.get_paths()[0].vertices[:, 1] for one in figure.axes[panel].collections]
+    return [(heights.min(), heights.max()) for heights in found]
 
 
 def test_the_loss_has_a_median_and_a_band(tmp_path, runs, drawn):

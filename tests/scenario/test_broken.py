@@ -193,4 +193,6 @@ def test_absurd_sizes_are_refused_in_one_short_line(fields):
 @pytest.mark.parametrize("name", ["two\nlines", "bell\a", "escape\x1b[2J", "half\ud800"])
 def test_names_with_control_characters_are_refused(name):
     for fields in ({"name": name}, {"drivers": {"profiles": {name: {}}}}):
-        assert "must have no control characters" in error_of(fields)
+        message = error_of(fields)
+        # Half a character is no text for an older pydantic.
+        assert "must have no control characters" in message or "as a unicode string" in message
