@@ -1,5 +1,6 @@
 """The page of a running simulation in a browser: the newest, the past, what it says."""
 
+import time
 from itertools import pairwise
 
 import pytest
@@ -73,13 +74,16 @@ def test_cars_drive_at_the_newest(server, open_page):
     rows = record(BUSY, 100, seed=4).rows_of(0)
     with open_page(server.address) as page:
         wait_until(page, f"{NEAR} && player.clock.time > 1")
+        begin = time.monotonic()
         times = [page.evaluate("player.clock.time")]
         for _ in range(4):
             page.wait_for_timeout(400)
             times.append(page.evaluate("player.clock.time"))
             assert page.evaluate(NEAR)
         assert times == sorted(set(times))
-        assert 0.7 < times[-1] - times[0] < 4.0
+        # As long as it took, where the machine was busy, too, but for what the page was behind.
+        elapsed = time.monotonic() - begin
+        assert 0.4 * elapsed < times[-1] - times[0] < elapsed + 2.0
         assert page.get_attribute("#live-badge", "class") == "on"
         assert not page.is_visible("#to-live")
         # What it shows is what a recording of this seed holds, and what the canvas shows.
