@@ -32,7 +32,9 @@ from turns import print_target
 
 from marl_lanes import LaneChangeEnv, Simulator
 from marl_lanes.files import write_json
+from marl_lanes.starting import uncollected
 from marl_lanes.traffic.machine.graphics import find_gpu
+from marl_lanes.traffic.machine.team import TEAM_SIZES
 from marl_lanes.traffic.machine.threads import count_processors
 from marl_lanes.training.command_line import refusing
 
@@ -47,8 +49,6 @@ FAST: dict[str, Any] = {
 ENVS = (1024, 8192, 65_536, 262_144)
 DEVICE = "cuda"
 FEW_ENVS = 8192
-TEAM_SIZES = (1, 2, 4, 8, 16, 32)
-"""Threads for a road."""
 TESTS = ("tests/traffic/test_gpu.py", "tests/envs/test_gpu_exchange.py")
 ROOT = Path(__file__).parents[1]
 ROUNDS = 5
@@ -132,7 +132,7 @@ def capture(call: Callable[[], object]) -> Callable[[], object]:
         call()
     torch.cuda.current_stream().wait_stream(stream)
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):
+    with uncollected(), torch.cuda.graph(graph):
         call()
     return graph.replay
 

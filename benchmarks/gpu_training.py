@@ -37,6 +37,7 @@ from marl_lanes.training.command_line import compose_fields, refusing
 from marl_lanes.training.config import read_config
 from marl_lanes.training.graphs import NUM_WARMUPS
 from marl_lanes.training.learner import Learner
+from marl_lanes.training.timing import split_time
 from marl_lanes.training.transitions import CPU
 
 DEFAULTS = (
@@ -174,12 +175,17 @@ def measure(options: Sequence[str] = (), *, is_evaluated: bool = True) -> Row:
         config = read_config(TrainingConfig, compose_fields(TrainingConfig, FOLDER, fields))
         learner, scenario, saved = train(config)
     counters = learner.counters
+    prepared = counters["seconds_preparing"]
+    seconds = dict(counters)
+    for name in ("seconds_training", "seconds_learning"):
+        seconds[name] -= prepared
+    split = split_time(seconds, learner.transitions)
     row: Row = {
         "training: transitions": learner.transitions,
         "training: updates": counters["updates"],
-        "training: seconds": counters["seconds_training"] - counters["seconds_preparing"],
-        "training: seconds of compiling and capturing updates": counters["seconds_preparing"],
-        **{f"training: us a transition: {key}": us for key, (us, _) in learner.split.items()},
+        "training: seconds": seconds["seconds_training"],
+        "training: seconds of compiling and capturing updates": prepared,
+        **{f"training: us a transition: {key}": us for key, (us, _) in split.items()},
         f"an update of {config.replay.batch_size}: us": 1e6 * counters["seconds_update"],
     }
     return row | evaluate_models(saved, scenario, config) if is_evaluated else row
@@ -199,11 +205,16 @@ def evaluate_models(
                 good = seconds
     return {
         SECONDS_TO_GOOD: "not reached" if good is None else good,
-        "untrained: cost ratio": results[0][0],
+        "untrained: cost ratio": shown(results[0][0]),
         "untrained: success rate": results[0][1],
-        "final model: cost ratio": results[-1][0],
+        "final model: cost ratio": shown(results[-1][0]),
         "final model: success rate": results[-1][1],
     }
+
+
+def shown(ratio: float) -> float | str:
+    """A cost ratio, where there is one: JSON knows no other number."""
+    return "none succeeds" if math.isnan(ratio) else ratio
 
 
 def print_row(row: Row) -> None:

@@ -32,6 +32,7 @@ from marl_lanes.training.learner import Learner
 from marl_lanes.training.run_folder import COMMAND_FILE, check_empty
 from marl_lanes.training.sizes import check_sizes
 from marl_lanes.training.timing import format_split
+from marl_lanes.training.torch_settings import take_resources
 from marl_lanes.training.transitions import CPU
 from marl_lanes.training.workers import choose_collector
 
@@ -72,11 +73,7 @@ def start(
     if config.evaluation.record:
         for package in ("pygame", "imageio_ffmpeg"):
             need(package, "view")
-    torch.set_num_threads(config.num_threads)
-    device = torch.device(config.device)
-    if device.index is not None:
-        # A graph is captured on torch's present GPU.
-        torch.cuda.set_device(device)
+    device = take_resources(config)
     # Workers have the roads on the CPU.
     acting_device = device if config.collector.kind == "single" else CPU
     env = LaneChangeEnv(

@@ -32,6 +32,7 @@ from marl_lanes.training.learner import EvaluateModel, Learner
 from marl_lanes.training.opponents import PoolPolicy, allot
 from marl_lanes.training.run_folder import FINAL_MODEL, TIMES_FILE, check_empty
 from marl_lanes.training.sizes import check_networks, check_sizes
+from marl_lanes.training.torch_settings import take_resources
 
 MODEL = f"checkpoints/{FINAL_MODEL}"
 """The trained policy in the folder of a phase."""
@@ -102,7 +103,6 @@ class Grounds:
     ) -> None:
         self.config = config
         self.output = Path(config.output)
-        self.device = torch.device(config.device)
         self.is_new = config.resume is None
         self.files = {CHANGER_FILE: Path(config.changer), **(guests or {})}
         if self.is_new:
@@ -119,7 +119,7 @@ class Grounds:
         name = "follower.hidden_sizes"
         check_networks(part, name, part.hidden_sizes, num_features, "follower.")
         self.check_learner("follower", part)
-        torch.set_num_threads(config.num_threads)
+        self.device = take_resources(config)
 
     def find_changer(self, name: str = CHANGER_FILE) -> Path:
         """A changer's checkpoint; the run's own copy once it is there.

@@ -9,6 +9,7 @@ from copy import deepcopy
 os.environ |= {"NUMBA_ENABLE_CUDASIM": "1", "NUMBA_DISABLE_JIT": "1"}
 
 import numpy as np
+import pytest
 
 from marl_lanes import Simulator
 from marl_lanes.envs.vehicle_table import read_vehicle_tables, state_columns
@@ -122,6 +123,26 @@ def assert_table_is_read(rng, simulator):
     np.testing.assert_array_equal(rows, expected)
 
 
+def assert_refusal_keeps_the_roads(rng, here, there):
+    """Not even a reset changes them before the error has told of it, however late it comes."""
+    from marl_lanes.traffic.gpu_kernels import REFUSED
+
+    roads = there.gpu_roads
+    before = [np.array(table) for table in roads.tables.arrays]
+    # As on a GPU that the host is ahead of.
+    roads._refused[0] = 1
+    there.reset([True, False])
+    there.step(np.zeros(there.actions.shape))
+    for table, kept in zip(roads.tables.arrays, before, strict=True):
+        assert np.array(table).tobytes() == kept.tobytes()
+    for call in (there.reset, there.step, lambda: there.restore(here.snapshot())):
+        roads._refused[0] = roads._alarms[REFUSED] = 1
+        with pytest.raises(ValueError, match="must be a finite acceleration"):
+            call()
+    drive(rng, [here, there])
+    assert_same(here, there)
+
+
 def main():
     rng = np.random.default_rng(0)
     here, there = make("cpu"), make("cuda")
@@ -139,6 +160,7 @@ def main():
     assert_same(here, there)
     drive(rng, [here, there])
     assert_same(here, there)
+    assert_refusal_keeps_the_roads(rng, here, there)
     copy.restore(here.snapshot())
     drive(rng, [here, copy])
     assert_same(here, copy)

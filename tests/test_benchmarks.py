@@ -53,12 +53,13 @@ def run(name, *arguments):
 
 
 @pytest.mark.training
-def test_a_training_on_one_device(tmp_path, capsys):
+@pytest.mark.parametrize("mu", ["cascade", "paper"])
+def test_a_training_on_one_device(tmp_path, capsys, mu):
     """On the CPU: what is measured on a GPU is the same."""
     file = tmp_path / "figures.json"
     sizes = ("collector.num_envs=16", "collector.total_transitions=600", "replay.batch_size=16")
     begin = ("replay.warmup_transitions=400", "optimizer.pretraining_transitions=500")
-    ends = ("evaluation.save_interval=300", "evaluation.num_maneuvers=2", "network.mu=cascade")
+    ends = ("evaluation.save_interval=300", "evaluation.num_maneuvers=2", f"network.mu={mu}")
     often = "optimizer.transitions_per_update=8"
     run("gpu_training", "device=cpu", *sizes, *begin, *ends, often, "--json", file)
     figures = json.loads(file.read_text(encoding="utf-8"))
@@ -66,11 +67,15 @@ def test_a_training_on_one_device(tmp_path, capsys):
     assert figures["training: transitions"] >= 600
     assert figures["training: seconds"] > 0.0
     assert figures["training: seconds of compiling and capturing updates"] > 0.0
-    assert 0.0 < figures["final model: success rate"] <= 1.0
-    # This structure drives well from the beginning.
-    assert figures["untrained: cost ratio"] < 1.1
     (seconds,) = (value for name, value in figures.items() if name.startswith("seconds to"))
-    assert seconds == 0.0
+    if mu == "cascade":
+        # This structure drives well from the beginning.
+        assert figures["untrained: cost ratio"] < 1.1
+        assert seconds == 0.0
+        assert 0.0 < figures["final model: success rate"] <= 1.0
+    else:
+        assert figures["untrained: cost ratio"] == "none succeeds"
+        assert seconds == "not reached"
     printed = capsys.readouterr().out
     assert all(name in printed for name in figures)
 

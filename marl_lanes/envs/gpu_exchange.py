@@ -76,6 +76,8 @@ class Exchange:
             *(self._make_readout(role, arrays, ends) for role in roles),
             *(roads.make_table_readout(arrays[number]) for number in self._tables.values()),
         ]
+        # The roads were made on the default stream, and torch's may go ahead of it.
+        roads.check(wait=True)
 
     def _make_readout(
         self, role: Role, arrays: Sequence[Any], ends: Sequence[Any]

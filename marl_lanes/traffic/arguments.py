@@ -110,18 +110,22 @@ def is_on_gpu(given: object) -> bool:
     return hasattr(given, "__cuda_array_interface__")
 
 
-def check_form(name: str, given: Any, shape: tuple[int, ...], kinds: str) -> None:
-    """Refuse an array on a GPU of another shape or type.
+def check_form(name: str, given: Any, shape: tuple[int, ...], kinds: str, device: str) -> None:
+    """Refuse an array on a GPU of another shape or type, or on another GPU.
 
     Args:
         name: for the message.
         given: has ``__cuda_array_interface__``.
         shape: that it must have.
         kinds: the types that it may have, in numpy's characters.
+        device: where it must be, cuda:N, as far as it tells where it is.
 
     Raises:
         ValueError: it is something else.
     """
+    number = getattr(getattr(given, "device", None), "index", None)
+    if number is not None and f"cuda:{number}" != device:
+        raise ValueError(f"{name}: is on cuda:{number}, must be on {device}")
     form = given.__cuda_array_interface__
     if np.dtype(form["typestr"]).char not in kinds:
         raise ValueError(f"{name} = {shown(given)}: must not be of type {form['typestr']}")

@@ -10,12 +10,14 @@ import numpy as np
 from numba import cuda
 from numpy.typing import NDArray
 
+from marl_lanes.scenario.messages import shown
 from marl_lanes.traffic import gpu_kernels as kernels
 from marl_lanes.traffic.arguments import is_on_gpu
+from marl_lanes.traffic.gpu_memory import DeviceArray, FetchedState, empty, words
 from marl_lanes.traffic.host import Mask, Numbers
 from marl_lanes.traffic.machine.launches import Block, Launch, configure
 from marl_lanes.traffic.machine.state import State
-from marl_lanes.traffic.machine.team import MOST_MEMBERS
+from marl_lanes.traffic.machine.team import MOST_MEMBERS, TEAM_SIZES
 from marl_lanes.traffic.parameters import Parameters
 from marl_lanes.traffic.step import RESET, SKIP, STEP, WARM_UP
 
@@ -30,33 +32,6 @@ _FEWEST_MEMBERS = 8
 
 _STEPS_PER_CALL = 256
 """Time steps of a launch that takes many. Between two launches Ctrl-C works."""
-
-DeviceArray = Any
-"""An array of numba-cuda in the GPU's memory."""
-
-
-class FetchedState:
-    """A ``State`` whose arrays are on a GPU: each access fetches a copy, which is read-only.
-
-    It waits for the GPU, and takes as long as copying the array. A copy does not change later.
-    """
-
-    def __init__(self, roads: "GpuRoads") -> None:
-        self._roads = roads
-
-    def __getattr__(self, name: str) -> NDArray[Any]:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return self._roads.fetch(getattr(self._roads.tables, name))
-
-    @property
-    def arrays(self) -> tuple[NDArray[Any], ...]:
-        """Copies of all arrays, in kernel order."""
-        return tuple(map(self._roads.fetch, self._roads.tables.arrays))
-
-    def tobytes(self) -> bytes:
-        """Every byte of the state, for comparisons."""
-        return b"".join(array.tobytes() for array in self.arrays)
 
 
 class GpuRoads:
@@ -96,7 +71,7 @@ class GpuRoads:
         self._kept: dict[bytes, DeviceArray] = {}
         with cuda.gpus[self._gpu]:
             self.tables = State(
-                *(_empty((num_roads, *array.shape[1:]), array.dtype) for array in road.arrays)
+                *(empty((num_roads, *array.shape[1:]), array.dtype) for array in road.arrays)
             )
             flat = (num_roads, road.agents.shape[1])
             self.actions_there = cuda.to_device(np.zeros((*flat, num_actions)))
@@ -112,14 +87,18 @@ class GpuRoads:
         # A road without num_agents or a horizon is still driven for at most so long before it.
         warmup = parameters.constants[0]["warmup_high"] / parameters.constants[0]["time_step"]
         self._warmup_steps = math.ceil(warmup)
-        self.state = FetchedState(self)
         self.form_teams(_choose_team(num_roads))
 
     def form_teams(self, size: int) -> None:
         """Let so many threads advance a road: 1 to 32, a power of two. Only the time depends on it.
 
         By default as many as there is room for, but not fewer than 8.
+
+        Raises:
+            ValueError: it is another number.
         """
+        if size not in TEAM_SIZES:
+            raise ValueError(f"size = {shown(size)}: must be one of {TEAM_SIZES}")
         self.team_size = size
         # Small blocks: few roads are spread over all processors.
         self._block = (size, MOST_MEMBERS // size)
@@ -136,6 +115,11 @@ class GpuRoads:
         self._check = Launch(kernels.check_actions, actions.size, check, _BLOCK)
         check = (behind, tables.followers, self._learner, *alarms)
         self._check_followers = Launch(kernels.check_follower_actions, behind.size, check, _BLOCK)
+
+    @property
+    def state(self) -> FetchedState:
+        """What reads the tables; made anew, for in a circle the GPU's memory is freed late."""
+        return FetchedState(self)
 
     @property
     def actions(self) -> NDArray[np.float64]:
@@ -161,10 +145,10 @@ class GpuRoads:
         finally:
             self._handle = 0
 
-    @staticmethod
-    def share(array: object) -> DeviceArray:
+    def share(self, array: object) -> DeviceArray:
         """An array of numba-cuda in the memory of another library's."""
-        return cuda.as_cuda_array(array)
+        with cuda.gpus[self._gpu]:
+            return cuda.as_cuda_array(array)
 
     def fetch(self, array: DeviceArray) -> NDArray[Any]:
         """A read-only copy of an array, after all work of the GPU.
@@ -211,12 +195,22 @@ class GpuRoads:
         )
 
     def seed(self, seed: int, first_road: int) -> None:
-        """Restart the random numbers; a road's stream is its index."""
+        """Restart the random numbers; a road's stream is its index.
+
+        Raises:
+            ValueError: an action was refused.
+        """
+        self.check(wait=True)
         numbers = np.uint64(seed), np.uint64(first_road)
         self._launch(kernels.seed_roads, len(self._every_road), self.tables.roads, *numbers)
 
     def begin(self, mask: Mask | DeviceArray | None) -> None:
-        """Empty the masked roads, or all, and run their warm-up."""
+        """Empty the masked roads, or all, and run their warm-up.
+
+        Raises:
+            ValueError: an earlier action was refused, see ``check``.
+        """
+        self.check(wait=False)
         chosen = self._put_mask(mask)
         tables = self.tables
         for table in (tables.vehicles, tables.agents, tables.followers, tables.collisions):
@@ -245,7 +239,7 @@ class GpuRoads:
         pairs = (actions, self.actions_there), (follower_actions, self.follower_actions_there)
         for given, kept in pairs:
             if is_on_gpu(given):
-                self._launch(kernels.copy_numbers, kept.size, cuda.as_cuda_array(given), kept)
+                self._launch(kernels.copy_numbers, kept.size, self.share(given), kept)
                 continue
             if given is None:
                 self._fill(kept, np.zeros((1, *kept.shape[1:])))
@@ -283,7 +277,12 @@ class GpuRoads:
         self._run(SKIP, self._every_road, num_steps)
 
     def put_state(self, stored: State) -> None:
-        """Set every byte of the roads."""
+        """Set every byte of the roads.
+
+        Raises:
+            ValueError: an action was refused.
+        """
+        self.check(wait=True)
         for array, content in zip(self.tables.arrays, stored.arrays, strict=True):
             if content.size > 0:
                 self._send(content.copy(), array)
@@ -327,9 +326,10 @@ class GpuRoads:
     def _fill(self, table: DeviceArray, row: NDArray[Any], mask: DeviceArray | None = None) -> None:
         """Set the masked roads of a table, or all, to the row of one road."""
         chosen = self._every_road if mask is None else mask
-        rows, content = _words(table), _words(row)[0]
+        rows, content = words(table), words(row)[0]
         if rows.size > 0:
-            self._launch(kernels.fill_rows, rows.size, chosen, rows, self._there(content))
+            given = self._refused, chosen, rows, self._there(content)
+            self._launch(kernels.fill_rows, rows.size, *given)
 
     def _there(self, content: NDArray[Any]) -> DeviceArray:
         """A small array on the GPU, copied there once."""
@@ -337,13 +337,15 @@ class GpuRoads:
         if key not in self._kept:
             with cuda.gpus[self._gpu]:
                 self._kept[key] = cuda.to_device(content)
+                # Whichever stream reads it.
+                cuda.synchronize()
         return self._kept[key]
 
     def _put_mask(self, mask: Mask | DeviceArray | None) -> DeviceArray:
         if mask is None:
             return self._every_road
         if is_on_gpu(mask):
-            return cuda.as_cuda_array(mask)
+            return self.share(mask)
         self._send(mask, self._mask)
         return self._mask
 
@@ -381,13 +383,3 @@ def _choose_team(num_roads: int) -> int:
     while size > _FEWEST_MEMBERS and num_roads * size > _GROUPS * MOST_MEMBERS:
         size //= 2
     return size
-
-
-def _empty(shape: tuple[int, ...], dtype: Any) -> DeviceArray:
-    return cuda.device_array(shape, dtype)
-
-
-def _words(array: Any) -> Any:
-    """The same memory as (E, n) uint32."""
-    flat = array.reshape(array.size).view(np.uint32)
-    return flat.reshape(array.shape[0], flat.size // array.shape[0])

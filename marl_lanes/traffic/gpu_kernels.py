@@ -95,8 +95,10 @@ def advance(
 
 
 @gpu_kernel()
-def fill_rows(mask: Any, rows: Any, row: Any) -> None:
-    """Set the masked rows of ``rows``, (E, n), to ``row``, (n,)."""
+def fill_rows(refused: Any, mask: Any, rows: Any, row: Any) -> None:
+    """Set the masked rows of (E, n) to ``row``, (n,); nothing once an action was refused."""
+    if refused[0] != 0:
+        return
     size = row.shape[0]
     for index in range(cuda.grid(1), rows.shape[0] * size, cuda.gridsize(1)):
         if mask[index // size]:

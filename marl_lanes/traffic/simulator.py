@@ -192,7 +192,7 @@ class Simulator:
             ValueError: the mask has another shape or type.
         """
         if self._gpu_roads is not None and is_on_gpu(mask):
-            check_form("mask", mask, (self.num_envs,), "?")
+            check_form("mask", mask, (self.num_envs,), "?", self.device)
             chosen: Any = mask
         else:
             chosen = None if mask is None else read_mask("mask", mask, (self.num_envs,))
@@ -365,7 +365,7 @@ class Simulator:
         is_changer = name == "actions"
         shape = (self.num_envs, self.num_slots, self.num_actions if is_changer else 1)
         if self._gpu_roads is not None and is_on_gpu(given):
-            check_form(name, given, shape, "fd")
+            check_form(name, given, shape, "fd", self.device)
             return given
         array = read_numbers(name, given, shape)
         if np.isfinite(array).all():

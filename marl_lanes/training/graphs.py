@@ -9,6 +9,8 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
+from marl_lanes.starting import uncollected
+
 NUM_WARMUPS = 3
 """Calls before the capture, in which torch allocates and compiles what it needs."""
 
@@ -30,7 +32,8 @@ def capture(function: Callable[[], TensorDictBase]) -> Callable[[], TensorDictBa
         runs the kernels, and returns the tensors that they have written.
     """
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):
+    # What a collection frees on the GPU would end the capture.
+    with uncollected(), torch.cuda.graph(graph):
         result = function()
 
     def replay() -> TensorDictBase:

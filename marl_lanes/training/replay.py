@@ -105,6 +105,8 @@ class Replay(Experience):
         if not len(rows):
             return
         ring = self.rings[name]
+        # Of two rows for one place the later one stays: a GPU would mix them.
+        rows = rows[-ring.storage.max_size :]
         is_first = not len(ring)
         ring.extend(rows)
         if is_first and not self.is_in_memory:

@@ -106,8 +106,10 @@ def restore_state(
         optimizer.load_state_dict(copy.deepcopy(content["optimizer"]))
         experience.restore(content["replay"])
         torch.set_rng_state(content["random"])
-        if content["random_cuda"]:
-            torch.cuda.set_rng_state_all(content["random_cuda"])
+        # There may be fewer GPUs now.
+        there = range(torch.cuda.device_count())
+        for number, state in zip(there, content["random_cuda"], strict=False):
+            torch.cuda.set_rng_state(state, number)
     except WorkerError:
         raise
     except (AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError) as error:

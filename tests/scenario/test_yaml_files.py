@@ -157,6 +157,8 @@ def bomb(width, height):
 
 TOO_MANY = f"must have at most {MAX_VALUES:,} values"
 TOO_DEEP = f"must be nested at most {MAX_DEPTH} levels deep"
+TOO_DEEP_FOR_YAML = "exceeded maximum nesting depth"
+"""What a newer PyYAML says of still deeper ones."""
 
 
 @pytest.mark.parametrize(
@@ -178,7 +180,8 @@ TOO_DEEP = f"must be nested at most {MAX_DEPTH} levels deep"
     ids=range(12),
 )
 def test_absurd_sizes_are_refused(text, part):
-    assert part in error_of(text)
+    error = error_of(text)
+    assert part in error or (part == TOO_DEEP and TOO_DEEP_FOR_YAML in error)
 
 
 def test_many_keys_and_merged_mappings_take_a_time_in_proportion():

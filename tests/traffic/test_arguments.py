@@ -1,10 +1,15 @@
+from contextlib import nullcontext
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from marl_lanes.traffic.arguments import (
     check_flag,
+    check_form,
     check_functions,
     check_whole,
+    is_on_gpu,
     read_mask,
     read_numbers,
 )
@@ -48,3 +53,23 @@ def test_a_mask_is_contiguous():
     assert mask.tolist() == [True, True]
     with pytest.raises(ValueError, match=r"^mask = \[1, 0\]: must be True or False"):
         read_mask("mask", [1, 0], (2,))
+
+
+@pytest.mark.parametrize(
+    ("form", "index", "message"),
+    [
+        ({"typestr": "<f4", "shape": (2, 3)}, 1, None),
+        ({"typestr": "<f4", "shape": (2, 3)}, None, None),
+        ({"typestr": "<f4", "shape": (2, 3)}, 0, r"^x: is on cuda:0, must be on cuda:1$"),
+        ({"typestr": "<f4", "shape": (3, 2)}, 1, r"^x: shape \(3, 2\), must be \(2, 3\)$"),
+        ({"typestr": "|b1", "shape": (2, 3)}, 1, r"^x = .*: must not be of type \|b1$"),
+    ],
+)
+def test_arrays_on_a_gpu(form, index, message):
+    given = SimpleNamespace(__cuda_array_interface__=form)
+    if index is not None:
+        given.device = SimpleNamespace(index=index)
+    expected = nullcontext() if message is None else pytest.raises(ValueError, match=message)
+    assert is_on_gpu(given)
+    with expected:
+        check_form("x", given, (2, 3), "fd", "cuda:1")

@@ -199,5 +199,5 @@ def test_a_thread_takes_little_local_memory():
 def test_no_more_roads_than_fit():
     with pytest.raises(ValueError, match=r"num_envs = \d+: needs about .* GiB of memory of cuda:0"):
         Simulator("paper", 10**9, device="cuda")
-    with pytest.raises(ValueError, match=r"device = cuda:99: there is no GPU 99"):
+    with pytest.raises(ValueError, match=r"device = cuda:99: must be cpu here: there is no GPU 99"):
         Simulator("paper", device="cuda:99")

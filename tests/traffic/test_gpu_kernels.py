@@ -113,3 +113,13 @@ def test_few_roads_have_larger_teams():
     from marl_lanes.traffic.gpu import _choose_team
 
     assert [_choose_team(number) for number in (1, 2112, 2113, 8192, 10**6)] == [32, 32, 16, 8, 8]
+
+
+@pytest.mark.parametrize("size", [0, 3, 64, -1, None])
+def test_a_team_is_a_part_of_a_group(size):
+    from marl_lanes.traffic.gpu import GpuRoads
+
+    with pytest.raises(
+        ValueError, match=rf"^size = {size}: must be one of \(1, 2, 4, 8, 16, 32\)$"
+    ):
+        GpuRoads.form_teams(None, size)

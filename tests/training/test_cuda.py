@@ -81,6 +81,7 @@ def test_a_graph_of_an_update_is_the_update(tmp_path, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
 @pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:TensorFloat32 tensor cores:UserWarning")
 @pytest.mark.parametrize("compiled", ["false", pytest.param("true", marks=pytest.mark.long)])
 def test_networks_together_learn_what_they_learn_one_by_one(tmp_path, compiled):
     """To rounding, in both stages, as graphs; compiled, too."""
@@ -117,6 +118,7 @@ def test_two_trainings_of_a_seed_on_a_gpu_are_the_same(tmp_path):
     assert runs["one"] != runs["other"]
 
 
+@pytest.mark.filterwarnings("ignore:Synchronization debug mode:UserWarning")
 def test_a_batch_of_steps_and_its_updates_wait_for_nothing(tmp_path):
     learner = all_there()
     learner.begin(tmp_path / "run")
@@ -127,8 +129,8 @@ def test_a_batch_of_steps_and_its_updates_wait_for_nothing(tmp_path):
         if len(learner.experience):
             learner.update(4)
     mode = torch.cuda.get_sync_debug_mode()
-    torch.cuda.set_sync_debug_mode("error")
     try:
+        torch.cuda.set_sync_debug_mode("error")
         learner.collector.drive()
         learner.update(70)
     finally:

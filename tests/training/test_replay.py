@@ -28,6 +28,14 @@ def make(folder, *, capacity=40, share=0.25, storage="memory"):
     return Replay(config, folder / "replay", 9.0, transitions_per_update=4.0)
 
 
+def wraps(extend, sizes):
+    def noted(rows):
+        sizes.append(len(rows))
+        return extend(rows)
+
+    return noted
+
+
 @pytest.mark.parametrize("storage", ["memory", "memmap"])
 def test_each_batch_has_its_share_of_rare_transitions(tmp_path, storage):
     replay = make(tmp_path, storage=storage)
@@ -54,6 +62,20 @@ def test_rare_transitions_outlive_the_newest(tmp_path):
     replay.extend(transitions(400, 4, rare=range(400, 404)))
     kept = {*range(2, 8), *range(400, 404)}
     assert set(replay.sample(200)["value"][:, 6:].flatten().tolist()) == kept
+
+
+@pytest.mark.parametrize("storage", ["memory", "memmap"])
+def test_of_more_rows_than_fit_the_newest_are_kept(tmp_path, storage, monkeypatch):
+    """A GPU writes in no order: no two rows may be for one place."""
+    replay = make(tmp_path, storage=storage)
+    sizes = []
+    for ring in replay.rings.values():
+        monkeypatch.setattr(ring, "extend", wraps(ring.extend, sizes))
+    replay.extend(transitions(0, 95, rare=range(30)))
+    assert sizes == [40, 10]
+    batches = replay.sample(200)
+    assert set(batches["value"][:, :6].flatten().tolist()) == set(range(55, 95))
+    assert set(batches["value"][:, 6:].flatten().tolist()) == set(range(20, 30))
 
 
 @pytest.mark.parametrize(("share", "rare"), [(0.25, (5,)), (0.25, ()), (0.0, (1, 2, 3, 4))])

@@ -122,6 +122,20 @@ def test_a_restored_training_goes_on_identically(tmp_path, overrides, capacity):
 
 @pytest.mark.training
 @collector_warnings
+def test_a_state_of_more_gpus_is_taken_as_far_as_there_are_some(tmp_path, monkeypatch):
+    one = Parts(NEW)
+    save_state(tmp_path / "s.pt", counters={}, tables={}, **one.kept())
+    content = read_state(tmp_path / "s.pt") | {"random_cuda": ["first", "second", "third"]}
+    taken = []
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "set_rng_state", lambda *given: taken.append(given))
+    restore_state(tmp_path / "s.pt", content, **one.kept())
+    assert taken == [("first", 0), ("second", 1)]
+    one.collector.shutdown()
+
+
+@pytest.mark.training
+@collector_warnings
 def test_a_state_before_the_first_transition(tmp_path):
     one = Parts(NEW)
     save_state(tmp_path / "s.pt", counters={}, tables={}, **one.kept())

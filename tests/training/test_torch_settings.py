@@ -2,6 +2,7 @@
 
 import threading
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -15,6 +16,7 @@ from marl_lanes.training.checkpoint import (
     make_network,
     save_checkpoint,
 )
+from marl_lanes.training.torch_settings import take_resources, training_settings
 
 collector_warnings = pytest.mark.filterwarnings(
     "ignore:Creating .* which inherits from WeightUpdaterBase:DeprecationWarning"
@@ -78,6 +80,25 @@ def nothing():
 
 def in_bfloat16():
     return torch.autocast("cpu")
+
+
+@pytest.mark.filterwarnings("ignore:.*CUDA is not available:UserWarning")
+def test_convolutions_on_a_gpu_are_exact_in_a_training_alone():
+    cudnn = torch.backends.cudnn
+    before = cudnn.deterministic, cudnn.allow_tf32, cudnn.enabled
+    with training_settings(torch.device("cuda")):
+        assert (cudnn.deterministic, cudnn.allow_tf32, cudnn.enabled) == (True, False, True)
+    assert (cudnn.deterministic, cudnn.allow_tf32, cudnn.enabled) == before
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda", "cuda:1"])
+def test_threads_and_a_gpu_with_a_number_are_taken(device, monkeypatch):
+    taken = []
+    monkeypatch.setattr(torch, "set_num_threads", taken.append)
+    monkeypatch.setattr(torch.cuda, "set_device", taken.append)
+    config = SimpleNamespace(num_threads=3, device=device)
+    assert take_resources(config) == torch.device(device)
+    assert taken == [3, *([torch.device("cuda:1")] if device == "cuda:1" else [])]
 
 
 @pytest.mark.training

@@ -2,6 +2,7 @@
 
 import re
 from functools import cache
+from importlib import import_module
 from typing import Any, cast
 
 import numba
@@ -87,7 +88,23 @@ def find_fault(cuda: Any) -> str | None:
         return f"NVIDIA's driver is missing or does not start: {reason}"
     if len(cuda.gpus) == 0:
         return "the driver is there, and no GPU"
+    driver, compiler = find_versions(cuda)
+    # Within one major number an older driver runs newer code.
+    if driver[0] < compiler[0]:
+        has, needs = (".".join(map(str, one)) for one in (driver, compiler))
+        return (
+            f"NVIDIA's driver is for CUDA {has}, the compiler for CUDA {needs}: update the driver, "
+            f"or install numba-cuda[cu{driver[0]}]"
+        )
     return None
+
+
+def find_versions(cuda: Any) -> tuple[tuple[int, int], tuple[int, int]]:
+    """CUDA's version of the driver, and of the compiler."""
+    if cast("Any", numba.config).ENABLE_CUDASIM:
+        return (0, 0), (0, 0)
+    driver: Any = import_module("numba.cuda.cudadrv.driver")
+    return driver.get_version(), cuda.runtime.get_version()
 
 
 @cache

@@ -8,6 +8,9 @@ results are the same, but starting, or each launch, takes longer.
 
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, cast
 
 import numba
@@ -22,6 +25,13 @@ Kernel = Any
 # The classes of numba-cuda's cache, as in numba_internals.py.
 _Cache: Any = getattr(dispatcher, "CUDACache", object)
 _Content: Any = getattr(dispatcher, "CUDACacheImpl", object)
+_MAKERS = (
+    "llvmlite",
+    *("nvidia-nvvm", "nvidia-nvjitlink"),
+    *("nvidia-cuda-nvcc-cu12", "nvidia-nvjitlink-cu12"),
+)
+"""Packages that make machine code of LLVM's, for CUDA 13 and for CUDA 12."""
+
 CAN_KEEP = hasattr(_Content, "rebuild") and hasattr(_Cache, "_impl_class")
 """Whether kernels of a GPU can be cached on disk."""
 
@@ -29,14 +39,32 @@ Block = tuple[int, ...]
 """Threads of a block along its dimensions; along the last one each has work of its own."""
 
 
+@cache
+def _find_makers() -> tuple[object, ...]:
+    """What the code of a kernel depends on besides its sources."""
+    config = cast("Any", numba.config)
+    versions = []
+    for name in _MAKERS:
+        with suppress(PackageNotFoundError):
+            versions.append((name, version(name)))
+    return (*versions, str(config.OPT), config.CUDA_DEBUGINFO_DEFAULT)
+
+
 class _CheckedContent(Checked, _Content):  # type: ignore[misc]
     """A kernel of a GPU, checked."""
 
 
 class GpuKernelCache(Lenient, _Cache):  # type: ignore[misc]
-    """Numba-cuda's cache of a kernel of a GPU."""
+    """Numba-cuda's cache of a kernel of a GPU.
+
+    Numba-cuda's own key has neither the versions of CUDA's compiler and linker, nor the settings
+    of the compiler that are in the environment.
+    """
 
     _impl_class = _CheckedContent
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return (*super()._index_key(sig, codegen), *_find_makers())
 
 
 def gpu_kernel(**options: Any) -> Callable[[Callable[..., None]], Kernel]:

@@ -78,7 +78,11 @@ class Lenient:
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The cached kernel; None if there is none, or it cannot be used."""
         try:
-            return super().load_overload(sig, target_context)  # type: ignore[misc]
+            found = super().load_overload(sig, target_context)  # type: ignore[misc]
+            # Two processes that wrote at once may have left the code of other types.
+            if found is not None and tuple(found.signature.args) != tuple(sig):
+                raise ValueError("of other types")
+            return found
         except Exception:
             # Damaged bytes can raise almost any error. The next save would fail on them, too.
             with suppress(OSError):

@@ -26,6 +26,9 @@ from marl_lanes.traffic.machine.compiled import internal
 MOST_MEMBERS = 32
 """Threads of a GPU that have one instruction at a time, and can meet without the others."""
 
+TEAM_SIZES = (1, 2, 4, 8, 16, MOST_MEMBERS)
+"""What a team may be: a part of them that they divide into."""
+
 _BIT, _WORD, _LONG = ir.IntType(1), ir.IntType(32), ir.IntType(64)
 _NOTHING = ir.Constant(ir.IntType(8).as_pointer(), None)
 _ANSWER = ir.LiteralStructType((_WORD, _BIT))

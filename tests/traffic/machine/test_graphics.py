@@ -30,10 +30,11 @@ def test_without_the_extra_it_is_named(monkeypatch):
         Simulator("paper", device="cuda")
 
 
-def put(monkeypatch, error=None, number=1):
+def put(monkeypatch, error=None, number=1, versions=((13, 0), (13, 5))):
     """A compiler in the place of numba-cuda's."""
     cuda = SimpleNamespace(cuda_error=lambda: error, gpus=[None] * number)
     monkeypatch.setattr(graphics, "need", lambda *_: cuda)
+    monkeypatch.setattr(graphics, "find_versions", lambda _: versions)
 
 
 def test_a_missing_driver_and_a_missing_gpu_are_told_apart(monkeypatch):
@@ -54,6 +55,16 @@ def test_a_missing_driver_and_a_missing_gpu_are_told_apart(monkeypatch):
         match=r"^device = cuda:2: must be cpu here: there is no GPU 2: there are 2, from 0",
     ):
         Simulator("paper", device="cuda:2")
+
+
+def test_an_older_driver_is_told(monkeypatch):
+    put(monkeypatch, versions=((12, 8), (13, 0)))
+    with pytest.raises(
+        ValueError,
+        match=r"^device = cuda:0: must be cpu here: NVIDIA's driver is for CUDA 12\.8, "
+        r"the compiler for CUDA 13\.0: update the driver, or install numba-cuda\[cu12\]$",
+    ):
+        Simulator("paper", device="cuda")
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ def double(array):
     array[0] = twice(array[0])
 """
 
-PROGRAM = "import pretended_gpu; pretended_gpu.main({capability!r}, 'kept:double')"
+PROGRAM = "import pretended_gpu; pretended_gpu.main({capability!r}, 'kept:double', {kind!r})"
 SIMULATED = """
 import numpy as np
 from marl_lanes.traffic.machine.launches import Launch
@@ -55,9 +55,9 @@ def compile_it(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(TESTS)]))
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
 
-    def run(capability="9.0", *, before=""):
+    def run(capability="9.0", *, kind="float64", before=""):
         """Whether the kernel was kept, the digest of its code, and what was logged."""
-        program = f"{before}\n{PROGRAM.format(capability=capability)}"
+        program = f"{before}\n{PROGRAM.format(capability=capability, kind=kind)}"
         done = subprocess.run(
             [sys.executable, "-c", program], capture_output=True, text=True, check=False
         )
@@ -98,6 +98,20 @@ def test_a_damaged_file_is_replaced(compile_it, tmp_path, suffix):
     path.write_bytes(content[: len(content) // 2])
     assert compile_it() == (False, code, "")
     assert compile_it() == (True, code, "")
+
+
+@pytest.mark.slow
+def test_a_kernel_of_other_types_is_replaced(compile_it, tmp_path):
+    """Two processes that write at once may leave the index of one with the code of the other."""
+    _, code, _ = compile_it()
+    _, other, _ = compile_it(kind="float32")
+    one, two = sorted((tmp_path / "cache").rglob("*.nbc"))
+    content = one.read_bytes()
+    one.write_bytes(two.read_bytes())
+    two.write_bytes(content)
+    assert compile_it() == (False, code, "")
+    assert compile_it() == (True, code, "")
+    assert compile_it(kind="float32")[1] == other != code
 
 
 @pytest.mark.slow
