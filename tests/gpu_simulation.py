@@ -1,8 +1,10 @@
 """Run with numba's simulation of CUDA: the same roads on the CPU and on the simulated GPU."""
 
+import gc
 import os
 import sys
 import threading
+import weakref
 from collections import defaultdict
 from copy import deepcopy
 
@@ -164,6 +166,11 @@ def main():
     copy.restore(here.snapshot())
     drive(rng, [here, copy])
     assert_same(here, copy)
+    # Its memory on the GPU is free as soon as nobody has it.
+    roads = weakref.ref(copy.gpu_roads)
+    gc.disable()
+    del copy
+    assert roads() is None
     assert team.crew.most == there.gpu_roads.team_size == TEAM_SIZE
     sys.stdout.write("equal\n")
 
