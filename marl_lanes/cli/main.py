@@ -54,7 +54,7 @@ marl-lanes doctor says whether this installation works."""
 _STATUSES = """\
 exit status:
   0    all went well
-  1    doctor or validate has found something wrong
+  1    doctor or validate has found something wrong, or a training has failed
   2    the input is bad, or a file cannot be read or written: one line says why
   130  ended by Ctrl-C (0 after a training: it can be resumed)
 """

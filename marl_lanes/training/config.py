@@ -242,7 +242,8 @@ class ProgramConfig(Section):
     seed: Seed = Field(description="of the traffic, the networks, the noise and the replay")
     output: str = Field(min_length=1, description="the run folder")
     resume: str | None = Field(
-        description="a run folder to continue, with its own config; nothing else may be given"
+        description="a run folder to continue, with its own config; nothing else may be given, "
+        "but ray.address where that is a field"
     )
     num_threads: Processes = Field(description="threads of torch")
     device: Device = Field(
