@@ -149,14 +149,22 @@ class League:
         self.grounds = Grounds(config, "adversarial", files)
         self.grounds.check_learner("hardening", config.hardening)
         self.output = self.grounds.output
+        self.followers = list(config.followers)
+        for field in ("followers", "held_out"):
+            for name in getattr(config, field):
+                self._check_follower(field, name)
         self.changers = {FIRST: self.grounds.load_changer(load=load_checkpoint)}
         self.guests = {name: self._invite(name, what) for name, what in sources.items()}
-        self.followers = list(config.followers)
-        for name in (*config.followers, *config.held_out):
-            alone = load_scenario(self.grounds.scenario, {"followers": _alone(name)})
-            choose_policies(alone, None, has_learner=False)  # rejects one without a policy
         self.policies: dict[str, FollowerPolicy] = {}
         self.matches = Matches(self.grounds, config.hardening.evaluation)
+
+    def _check_follower(self, field: str, name: str) -> None:
+        """Refuse one that the scenario cannot have, or that has no policy."""
+        try:
+            alone = load_scenario(self.grounds.scenario, {"followers": _alone(name)})
+            choose_policies(alone, None, has_learner=False)
+        except ValueError as error:
+            raise ConfigError(f"{field} = {shown(name)}: {error}") from None
 
     def _invite(self, name: str, what: str) -> Changer:
         """A guest, on its scenario."""

@@ -152,7 +152,7 @@ QUICK: Mapping[str, tuple[str, ...]] = {
     NAF: (*_LEARNING, "demonstrations.num_transitions=0"),
     ADVERSARY: tuple(f"follower.{one}" for one in _LEARNING),
 }
-"""What --quick adds to the arguments of a program: a budget that shows only that all works. No
+"""What --quick sets of the arguments of a program: a budget that shows only that all works. No
 demonstrations: not every scenario has them."""
 
 
@@ -240,8 +240,14 @@ class Zoo:
 
     def _run(self, name: str) -> Run:
         policy = POLICIES[name]
-        arguments = map(self._place, policy.arguments)
         quick = QUICK[policy.program] if self.options.quick else ()
+        # A program takes a field once.
+        short = {_field_of(argument) for argument in quick}
+        arguments = [
+            self._place(argument)
+            for argument in policy.arguments
+            if _field_of(argument) not in short
+        ]
         return Run(name, policy.program, (*arguments, f"seed={policy.seed}", *quick))
 
     def _place(self, argument: str) -> str:
@@ -290,6 +296,10 @@ class Zoo:
 
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _field_of(argument: str) -> str:
+    return argument.partition("=")[0]
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:

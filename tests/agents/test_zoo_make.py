@@ -164,6 +164,19 @@ def test_bad_calls_are_one_line(capsys, options, message):
     assert len(error.splitlines()) == 1
 
 
+@pytest.mark.parametrize("is_quick", [False, True])
+def test_every_training_gets_a_field_once(is_quick, tmp_path):
+    options = [*["--quick"][: int(is_quick)], "--zoo", str(tmp_path), "--output", str(tmp_path)]
+    zoo = MAKE.Zoo(MAKE.parse(options))
+    for name, given in MAKE.POLICIES.items():
+        run = zoo._run(name)
+        fields = [argument.partition("=")[0] for argument in run.arguments]
+        assert len(fields) == len(set(fields)), name
+        assert {one.partition("=")[0] for one in given.arguments} <= set(fields)
+        if is_quick:
+            assert {*MAKE.QUICK[run.program]} <= {*run.arguments}
+
+
 def test_every_opponent_is_a_policy_and_every_one_fits_where_it_is_measured():
     for policy in MAKE.POLICIES.values():
         assert policy.others <= set(MAKE.POLICIES)
