@@ -9,8 +9,8 @@ that hold the roads on the GPU against those on the CPU.
 The scenario is ``paper`` as recipe fast once trained on it. The limit is the memory: the bytes that
 a step must read and write, each once, over the bandwidth of a copy measured here. A step of
 LaneChangeEnv is timed as it is called, and replayed as a CUDA graph, which leaves out Python. The
-training is that of gpu_training.py, which has options; once as it is, and once with a compiled
-loss, for which torch needs a C compiler.
+training is that of gpu_training.py, which has options; once with a compiled loss, for which torch
+needs a C compiler, and once without. Both learn the same, so the models of one are evaluated.
 """
 
 import argparse
@@ -56,7 +56,7 @@ ROUNDS = 5
 cuda: Any = torch.cuda
 COPIED = 2**30
 """[bytes]"""
-TRAININGS = {"a training": (), "a compiled training": ("optimizer.compile=true",)}
+TRAININGS = {"a compiled training": ("optimizer.compile=true",), "a training": ()}
 """The trainings' fields by name."""
 ON_CPU = (
     "device=cpu",
@@ -204,9 +204,11 @@ def advance(env: LaneChangeEnv) -> None:
 def train() -> dict[str, Row]:
     """The figures of the trainings by name; the cause where torch cannot compile."""
     found: dict[str, Row] = {}
+    is_evaluated = True
     for name, options in TRAININGS.items():
         try:
-            found[name] = measure_training(options)
+            found[name] = measure_training(options, is_evaluated=is_evaluated)
+            is_evaluated = False
         except TorchDynamoException as error:
             found[name] = {"error": str(error).partition("\n")[0]}
         print_row({f"{name}: {key}": value for key, value in found[name].items()})
@@ -284,12 +286,11 @@ def print_targets(
         if "error" in found:
             continue
         update = next(value for key, value in found.items() if key.startswith("an update"))
-        reached = found[SECONDS_TO_GOOD]
-        for label, value, target in (
-            ("seconds", found["training: seconds"], 3.0),
-            (SECONDS_TO_GOOD, math.inf if isinstance(reached, str) else reached, 1.5),
-            ("us of an update", update, 100.0),
-        ):
+        targets = {"seconds": (found["training: seconds"], 3.0), "us of an update": (update, 100.0)}
+        if SECONDS_TO_GOOD in found:
+            reached = found[SECONDS_TO_GOOD]
+            targets[SECONDS_TO_GOOD] = math.inf if isinstance(reached, str) else reached, 1.5
+        for label, (value, target) in targets.items():
             print_target(f"{name}: {label}", float(value), target, is_least=False)
 
 
