@@ -18,7 +18,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -107,7 +107,6 @@ class Preparing:
 def train(config: TrainingConfig) -> tuple[Learner, Scenario, list[tuple[PolicyNetwork, float]]]:
     """Train; copies of the network, untrained first, and the seconds of training before each."""
     saved: list[tuple[PolicyNetwork, float]] = []
-    preparing: list[Preparing] = []
 
     def keep(network: PolicyNetwork, seconds: float) -> None:
         saved.append((copy.deepcopy(network).to(CPU), seconds))
@@ -115,19 +114,18 @@ def train(config: TrainingConfig) -> tuple[Learner, Scenario, list[tuple[PolicyN
     def make(env: LaneChangeEnv, scenario: Scenario, *devices: torch.device) -> NAF:
         network = make_network(scenario, config.network.mu, config.network.hidden_sizes)
         keep(network, 0.0)
-        algorithm = NAF(config, env, network, device=devices[0], acting_device=devices[1])
-        preparing.append(Preparing(algorithm))
-        return algorithm
+        return NAF(config, env, network, device=devices[0], acting_device=devices[1])
 
     learner, scenario = start(config, make, "benchmarks/gpu_training.py")
+    preparing = Preparing(cast("NAF", learner.algorithm))
 
     def note(network: PolicyNetwork, _: Path | None) -> Mapping[str, Any]:
-        keep(network, learner.counters["seconds_training"] - preparing[0].seconds)
+        keep(network, learner.counters["seconds_training"] - preparing.seconds)
         return dict.fromkeys(config.evaluation.metrics)
 
     try:
         learner.train(note)
-        learner.counters["seconds_preparing"] = preparing[0].seconds
+        learner.counters["seconds_preparing"] = preparing.seconds
         learner.counters["seconds_update"] = time_update(learner)
     finally:
         learner.close()

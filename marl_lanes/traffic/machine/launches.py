@@ -27,10 +27,12 @@ _Cache: Any = getattr(dispatcher, "CUDACache", object)
 _Content: Any = getattr(dispatcher, "CUDACacheImpl", object)
 _MAKERS = (
     "llvmlite",
-    *("nvidia-nvvm", "nvidia-nvjitlink"),
-    *("nvidia-cuda-nvcc-cu12", "nvidia-nvjitlink-cu12"),
+    "nvidia-nvvm",
+    "nvidia-nvjitlink",
+    "nvidia-cuda-nvcc-cu12",
+    "nvidia-nvjitlink-cu12",
 )
-"""Packages that make machine code of LLVM's, for CUDA 13 and for CUDA 12."""
+"""Packages that make machine code; the last two are those of CUDA 12."""
 
 CAN_KEEP = hasattr(_Content, "rebuild") and hasattr(_Cache, "_impl_class")
 """Whether kernels of a GPU can be cached on disk."""
@@ -76,9 +78,9 @@ def gpu_kernel(**options: Any) -> Callable[[Callable[..., None]], Kernel]:
     def make(function: Callable[..., None]) -> Kernel:
         kernel: Kernel = cuda.jit(**options)(function)
         if not cast("Any", numba.config).ENABLE_CUDASIM:
-            cache = open_cache(GpuKernelCache, function, CAN_KEEP, "numba-cuda")
-            if cache is not None:
-                kernel._cache = cache
+            kept = open_cache(GpuKernelCache, function, CAN_KEEP, "numba-cuda")
+            if kept is not None:
+                kernel._cache = kept
         return kernel
 
     return make
